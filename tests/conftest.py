@@ -1,0 +1,20 @@
+"""Fixtures for every room. Shapes and dtypes in signatures are checked at run time (jaxtyping + beartype)."""
+
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+if os.environ.get("TORCHPRT_TYPECHECK", "1") != "0":
+    install_import_hook("torchprt", "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real scans and photographs, which is not part of the project."""
+    named = os.environ.get("TORCHPRT_DATA")
+    folder = Path(named) if named else Path(__file__).parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no real data: set TORCHPRT_DATA to a folder with mesh/bunny.ply and hdri/*.exr")
+    return folder

@@ -1,0 +1,1 @@
+"""Precomputed radiance transfer for PyTorch: bake once, relight in real time, export to ONNX."""
