@@ -1,0 +1,45 @@
+"""The whole run time as one module: environment -> light -> rotation -> shading -> display."""
+
+from __future__ import annotations
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchprt.errors import InputError
+from torchprt.sh import cube_basis, project_cube
+from torchprt.shade.diffuse import DiffuseShader
+from torchprt.shade.display import ToneMap, display
+
+
+class EnvironmentShader(nn.Module):
+    """Shades straight from cube maps: `environment [..., 6, H, W, 3]` -> light -> rotation -> exit radiance.
+
+    `size`: H = W of the cube maps. With `tone` the result is an sRGB picture value (exposure in stops, tone map,
+    sRGB), otherwise linear radiance. Gradients flow to the environment.
+    Source: Sloan, Kautz and Snyder 2002, figure 2 and section 6.2.
+    """
+
+    weights: Tensor
+
+    def __init__(self, shader: DiffuseShader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None):
+        super().__init__()
+        if size < 2:
+            raise InputError(f"size {size} of the cube map is too small: give at least 2")
+        self.shader = shader
+        self.size = size
+        self.exposure = exposure
+        self.tone: ToneMap | None = tone
+        self.register_buffer("weights", cube_basis(shader.order, size).to(shader.transfer), persistent=False)
+
+    def forward(
+        self, environment: Float[Tensor, "*B 6 H W 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
+    ) -> Float[Tensor, "*B V 3"]:
+        """Radiance `[..., V, 3]`. Raises InputError if the cube map is not of the stated size."""
+        if environment.shape[-3:-1] != (self.size, self.size):
+            raise InputError(
+                f"environment has faces of {tuple(environment.shape[-3:-1])} texels but the graph was made for "
+                f"{self.size} x {self.size}: resize it or make another graph"
+            )
+        light = project_cube(environment, self.shader.order, basis=self.weights)
+        radiance = self.shader(light, rotation)
+        return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)
