@@ -1,0 +1,108 @@
+"""The real spherical-harmonic basis and the reconstruction of functions from their coefficients."""
+
+import functools
+import math
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchprt.errors import InputError
+
+
+def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"]:
+    """Every basis function y_lm, l < `order`, at unit `directions`; index i = l(l + 1) + m.
+
+    Real, orthonormal, with the Condon-Shortley sign (docs/conventions.md). The result is a view of memory with
+    components first, `[N, *D]`, the layout in which both evaluation and the product with a light are fast.
+    Polynomials in x, y, z through a normalised recurrence, without angles: exact at the poles, with finite
+    gradients everywhere. Directions are not checked (see `check_directions`): where they are not of unit length
+    the result means nothing.
+
+    Raises InputError if `order` is below 1.
+    Source: Sloan, Kautz and Snyder 2002, section 3, equation 1, written as Q_l^m(z) times the real or imaginary
+    part of (x + iy)^m; Sloan 2013, "Efficient spherical harmonic evaluation".
+    """
+    if order < 1:
+        raise InputError(f"order must be at least 1, not {order}")
+    x, y, z = directions.unbind(-1)
+    along, across = _recurrence(order, directions.dtype, directions.device)
+    along, across = (table.reshape(-1, *(1,) * x.dim()) for table in (along, across))
+    bands = [torch.full_like(z, math.sqrt(0.25 / math.pi)).unsqueeze(0)]
+    if order > 1:
+        scale = math.sqrt(0.75 / math.pi)
+        bands.append(torch.stack([-scale * y, scale * z, -scale * x]))
+    for l in range(2, order):
+        before, last = bands[l - 2], bands[l - 1]
+        sine, cosine = last[0], last[-1]
+        sectoral = -math.sqrt((2 * l + 1) / (2 * l))
+        inner = slice(l * l + 1, (l + 1) ** 2 - 1)
+        risen = last * z * along[inner]
+        bands.append(
+            torch.cat(
+                [
+                    (sectoral * (x * sine + y * cosine)).unsqueeze(0),
+                    risen[:1],
+                    risen[1:-1] - before * across[inner][1:-1],
+                    risen[-1:],
+                    (sectoral * (x * cosine - y * sine)).unsqueeze(0),
+                ]
+            )
+        )
+    return torch.cat(bands).movedim(0, -1)
+
+
+def evaluate(
+    coefficients: Float[Tensor, "*B N C"], directions: Float[Tensor, "D 3"]
+) -> Float[Tensor, "*B D C"]:
+    """The functions with the given `coefficients`, reconstructed at unit `directions` shared by the batch.
+
+    Raises InputError if N is not a square number.
+    Source: Sloan, Kautz and Snyder 2002, section 3, equation 2.
+    """
+    return basis(directions, order_of(coefficients.shape[-2])) @ coefficients
+
+
+def order_of(count: int) -> int:
+    """The order n of `count` = n^2 coefficients. Raises InputError if `count` is not a square number."""
+    order = math.isqrt(max(count, 0))
+    if order < 1 or order * order != count:
+        raise InputError(
+            f"{count} coefficients are not a square number 1, 4, 9, 16, ...: check the axis that holds them"
+        )
+    return order
+
+
+def bands(order: int) -> Int[Tensor, " N"]:
+    """The band l of each of the `order`^2 coefficients."""
+    return torch.arange(order).repeat_interleave(2 * torch.arange(order) + 1)
+
+
+def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions") -> None:
+    """Raises InputError unless every direction has unit length within 1e-4 (zero and NaN included)."""
+    if not bool((torch.linalg.vector_norm(directions, dim=-1) - 1).abs().le(1e-4).all()):
+        raise InputError(f"{name} must be finite and of unit length: normalise them and remove zero vectors")
+
+
+def _recurrence(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    # While a graph is traced the tables must belong to it; a cache would leak traced tensors into later calls.
+    build = _recurrence_tables if torch.compiler.is_compiling() else _cached_recurrence_tables
+    return build(order, dtype, device)
+
+
+def _recurrence_tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """a, b of y_lm = a z y_(l-1)m - b y_(l-2)m for every index; zero where the recurrence does not apply."""
+    along, across = [], []
+    for l in range(order):
+        for m in range(-l, l + 1):
+            a = math.sqrt((4 * l * l - 1) / (l * l - m * m)) if abs(m) < l else 0.0
+            b = a * math.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1)) if abs(m) < l - 1 else 0.0
+            along.append(a)
+            across.append(b)
+    return (
+        torch.tensor(along, dtype=dtype, device=device),
+        torch.tensor(across, dtype=dtype, device=device),
+    )
+
+
+_cached_recurrence_tables = functools.lru_cache(maxsize=64)(_recurrence_tables)
