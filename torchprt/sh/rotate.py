@@ -80,6 +80,7 @@ def _turn(light: Tensor, rotation: Tensor, points: Tensor, project: Tensor, orde
     return project @ (basis(points @ rotation, order) @ light)
 
 
+@torch.compiler.assume_constant_result
 def _constants(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     build = _build_constants if torch.compiler.is_compiling() else _cached_constants
     return build(order, dtype, device)
