@@ -1,0 +1,139 @@
+"""What is in a mesh, and what is wrong with it, in sentences."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .weld import edges, weld
+
+FLAT = 1e-7
+"""A face is degenerate if its height is at most this share of its longest side: below what float32 resolves."""
+
+
+@dataclass(frozen=True)
+class MeshReport:
+    """What was found in a mesh. Nothing is repaired silently: `str(report)` says all of it.
+
+    Edges are judged between positions, not vertices: a seam, where vertices are repeated, is not a hole.
+    """
+
+    vertices: int
+    faces: int
+    components: int
+    """Connected pieces of surface."""
+    extent: tuple[float, float, float]
+    """Size of the bounding box along x, y and z."""
+    boundary_edges: int
+    """Edges of one face: the surface is open there, and light enters."""
+    nonmanifold_edges: int
+    """Edges of more than two faces."""
+    flipped_edges: int
+    """Edges whose two faces are wound in opposite senses: one of them shows its inside."""
+    degenerate_faces: int
+    duplicate_vertices: int
+    """Vertices at the position of an earlier vertex."""
+    unreferenced_vertices: int
+    computed_normals: int
+    """Vertices whose normal was computed from the faces, because the file has none or an unusable one."""
+    missing_normals: int
+    """Vertices without any usable normal: they receive no light."""
+    opposed_normals: int
+    """Vertices whose normal in the file points to the back of their faces."""
+
+    @property
+    def watertight(self) -> bool:
+        """Whether every edge joins two faces of the same sense, so that the surface has an inside."""
+        return not (self.boundary_edges or self.nonmanifold_edges or self.flipped_edges)
+
+    def __str__(self) -> str:
+        pieces = _count(self.components, "piece")
+        lines = [
+            f"{_count(self.vertices, 'vertex', 'vertices')}, {_count(self.faces, 'face')} in {pieces}, "
+            "extent " + " x ".join(f"{length:.6g}" for length in self.extent) + "."
+        ]
+        if self.watertight:
+            lines.append("The surface is closed and consistently wound.")
+        if self.boundary_edges:
+            lines.append(f"{_count(self.boundary_edges, 'edge')} with one face: the surface is open there.")
+        if self.nonmanifold_edges:
+            lines.append(f"{_count(self.nonmanifold_edges, 'edge')} with more than two faces.")
+        if self.flipped_edges:
+            lines.append(f"{_count(self.flipped_edges, 'edge')} between faces wound in opposite senses.")
+        if self.degenerate_faces:
+            lines.append(f"{_count(self.degenerate_faces, 'face')} without area: kept.")
+        if self.duplicate_vertices:
+            lines.append(f"{_count(self.duplicate_vertices, 'vertex', 'vertices')} at the position of another: kept.")
+        if self.unreferenced_vertices:
+            lines.append(f"{_count(self.unreferenced_vertices, 'vertex', 'vertices')} named by no face: kept.")
+        if self.computed_normals:
+            lines.append(f"{_count(self.computed_normals, 'normal')} computed from the faces.")
+        if self.opposed_normals:
+            lines.append(f"{_count(self.opposed_normals, 'normal')} pointing to the back of the faces: kept.")
+        if self.missing_normals:
+            lines.append(
+                f"{_count(self.missing_normals, 'vertex', 'vertices')} without a usable normal: will receive no light."
+            )
+        return "\n".join(lines)
+
+
+def _count(number: int, noun: str, plural: str = "") -> str:
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def check(
+    positions: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    normals: Float[np.ndarray, "V 3"],
+    computed: Bool[np.ndarray, "V"],
+    from_faces: Float[np.ndarray, "V 3"],
+) -> MeshReport:
+    """The report of a mesh whose vertices `computed` took their normals `from_faces`.
+
+    The verdict is the same for the mesh at any scale and place, up to the rounding of its coordinates.
+    """
+    place = weld(positions)
+    sides = edges(place[faces])
+    pairs = sides.start[sides.count == 2]
+    referenced = np.zeros(len(positions), dtype=bool)
+    referenced[faces.ravel()] = True
+    extent = np.ptp(positions, axis=0)
+    return MeshReport(
+        vertices=len(positions),
+        faces=len(faces),
+        components=_components(place[faces]),
+        extent=(float(extent[0]), float(extent[1]), float(extent[2])),
+        boundary_edges=int((sides.count == 1).sum()),
+        nonmanifold_edges=int((sides.count > 2).sum()),
+        flipped_edges=int((sides.forward[pairs] == sides.forward[pairs + 1]).sum()),
+        degenerate_faces=int(degenerate(positions, faces).sum()),
+        duplicate_vertices=len(place) - int(place.max(initial=-1) + 1),
+        unreferenced_vertices=int((~referenced).sum()),
+        computed_normals=int((computed & np.any(normals != 0, axis=1)).sum()),
+        missing_normals=int(np.all(normals == 0, axis=1).sum()),
+        opposed_normals=int((np.einsum("ij,ij->i", normals, from_faces) < 0).sum()),
+    )
+
+
+def degenerate(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, "F"]:
+    """Which faces have no area, judged by their height beside their longest side."""
+    corners = positions[faces]
+    sides = np.roll(corners, -1, axis=1) - corners
+    size = np.abs(sides).max(axis=(1, 2))
+    sides = sides / np.where(size > 0, size, 1.0)[:, None, None]
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    # The height cannot be known better than the coordinates are.
+    rounding = 4 * np.finfo(np.float64).eps * np.abs(corners).max(axis=(1, 2)) / np.where(size > 0, size, 1.0)
+    return twice_area <= np.maximum(FLAT * longest, rounding) * longest
+
+
+def _components(welded: Int[np.ndarray, "F 3"]) -> int:
+    places = int(welded.max(initial=-1)) + 1
+    tail = np.concatenate([welded[:, 0], welded[:, 1]])
+    head = np.concatenate([welded[:, 1], welded[:, 2]])
+    graph = coo_matrix((np.ones(len(tail), dtype=bool), (tail, head)), (places, places))
+    _, label = connected_components(graph, directed=False)
+    return len(np.unique(label[welded[:, 0]]))

@@ -1,0 +1,114 @@
+"""A mesh as everything above this room sees it: torch tensors, checked."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64, Int64, Shaped
+from torch import Tensor
+
+from torchprt.errors import InputError
+
+from .check import MeshReport, check
+from .normals import unit, vertex_normals
+
+Array = np.ndarray | Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles, in the order of the file: no vertex is dropped, merged or moved. Made by `read_mesh` or `make_mesh`."""
+
+    positions: Float64[Tensor, "V 3"]
+    faces: Int64[Tensor, "F 3"]
+    """Counter-clockwise seen from outside."""
+    normals: Float64[Tensor, "V 3"]
+    """Unit length; zero where a vertex has no usable normal."""
+    colours: Float32[Tensor, "V 3"] | None
+    """Linear RGB."""
+    name: str
+    report: MeshReport
+
+
+def make_mesh(
+    positions: Shaped[Array, "V 3"],
+    faces: Shaped[Array, "F 3"],
+    normals: Shaped[Array, "V 3"] | None = None,
+    colours: Shaped[Array, "V 3"] | None = None,
+    name: str | os.PathLike[str] = "mesh",
+) -> Mesh:
+    """A mesh of given triangles (numpy arrays or tensors of any real dtype), checked.
+
+    Given normals are brought to unit length; where they are missing, zero or not finite, they are computed
+    from the faces (see `vertex_normals`). Colours are linear RGB.
+
+    Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
+    if a face names a vertex that does not exist, or if no face has area.
+    """
+    name = os.fspath(name)
+    points = _numpy(positions, np.float64)
+    triangles = _indices(faces, name)
+    _refuse(points, triangles, name)
+    from_faces = vertex_normals(points, triangles)
+    given = np.zeros_like(points) if normals is None else unit(_numpy(normals, np.float64))
+    if given.shape != points.shape:
+        raise InputError(f"{name} has {len(given)} normals for {len(points)} vertices: give one a vertex")
+    computed = np.all(given == 0, axis=1)
+    final = np.where(computed[:, None], from_faces, given)
+    linear = None if colours is None else torch.from_numpy(_numpy(colours, np.float32))
+    if linear is not None and linear.shape != points.shape:
+        raise InputError(f"{name} has {len(linear)} colours for {len(points)} vertices: give one a vertex")
+    return Mesh(
+        positions=torch.from_numpy(points),
+        faces=torch.from_numpy(triangles),
+        normals=torch.from_numpy(final),
+        colours=linear,
+        name=name,
+        report=check(points, triangles, final, computed, from_faces),
+    )
+
+
+def _numpy(values: Array, dtype: type) -> np.ndarray:
+    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else values
+    # Out of range in float32 becomes infinite, and is refused where it matters.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.array(array, dtype=dtype, order="C")
+
+
+def _indices(faces: Array, name: str) -> np.ndarray:
+    array = faces.detach().cpu().numpy() if isinstance(faces, Tensor) else np.asarray(faces)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"{name} has faces of {array.dtype}: give whole numbers, the indices of vertices from 0")
+    return np.array(array, dtype=np.int64, order="C").reshape(-1, 3)
+
+
+def _refuse(positions: Float[np.ndarray, "V 3"], faces: Shaped[np.ndarray, "F 3"], name: str) -> None:
+    if not len(positions):
+        raise InputError(f"{name} holds no vertices: give a mesh of triangles")
+    if not len(faces):
+        raise InputError(f"{name} holds {len(positions)} points and no faces: give a mesh of triangles, not a point cloud")
+    bad = ~np.isfinite(positions).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"{name} has {bad.sum()} vertices that are not finite, the first is vertex {bad.argmax()}: "
+            "remove them or export the mesh again"
+        )
+    outside = ((faces < 0) | (faces >= len(positions))).any(axis=1)
+    if outside.any():
+        raise InputError(
+            f"{name} has {outside.sum()} faces that name a vertex that does not exist, the first is face "
+            f"{outside.argmax()} {tuple(faces[outside.argmax()].tolist())} of {len(positions)} vertices: "
+            "export the mesh again"
+        )
+    if not positions.any():
+        raise InputError(
+            f"{name} has all its vertices at zero, as a compressed file that was not decoded: "
+            "export the mesh without compression"
+        )
+    # Exact zeros only: the report counts the faces that are merely thin.
+    corners = positions[faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    size = max(float(np.abs(first).max()), float(np.abs(second).max()))
+    if size == 0 or not np.cross(first / size, second / size).any():
+        raise InputError(f"{name} has only faces without area: check the scale and the export of the mesh")

@@ -1,0 +1,7 @@
+"""Procedural scenes, the project's own: for demonstrations, tests and measurements."""
+
+from .coloured_box import coloured_box as coloured_box
+from .organic import organic as organic
+from .plane_and_blocker import plane_and_blocker as plane_and_blocker
+
+__all__ = ["coloured_box", "organic", "plane_and_blocker"]
