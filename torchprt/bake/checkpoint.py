@@ -1,0 +1,101 @@
+"""Chunks of a bake on disk: what a stopped bake keeps, and where hits wait for their bounces."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.files import atomic
+
+
+class CheckpointWarning(UserWarning):
+    """A checkpoint of another bake was found and is not used."""
+
+
+class Checkpoint:
+    """A folder with one file a chunk and the fingerprint of the bake that they belong to.
+
+    With `folder=None` it is a temporary one that `close` removes; otherwise it stays until `discard`. A folder left
+    by a bake of another scene or with other parameters is emptied, with a CheckpointWarning.
+    Raises InputError if the folder holds something else or cannot be written.
+    """
+
+    def __init__(self, folder: Path | None, fingerprint: str):
+        self._temporary = tempfile.TemporaryDirectory(prefix="torchprt-") if folder is None else None
+        self.folder = Path(self._temporary.name) if self._temporary else Path(folder or "")
+        manifest = self.folder / "manifest.json"
+        try:
+            self.folder.mkdir(exist_ok=True)
+            strangers = [entry for entry in self.folder.iterdir() if not self._ours(entry)]
+        except OSError as fault:
+            raise InputError(f"{self.folder} cannot hold the checkpoint ({fault.strerror}): name another") from fault
+        if strangers:
+            raise InputError(f"{self.folder} holds other files ({strangers[0].name}): name another checkpoint folder")
+        if manifest.exists() and _fingerprint_in(manifest) != fingerprint:
+            warnings.warn(
+                f"{self.folder} is of a bake with another scene or other parameters: it is emptied, this bake starts "
+                "from the beginning",
+                CheckpointWarning,
+                stacklevel=3,
+            )
+            for entry in self.folder.iterdir():
+                entry.unlink()
+        if not manifest.exists():
+            with atomic(manifest) as path:
+                path.write_text(json.dumps({"fingerprint": fingerprint}))
+
+    @staticmethod
+    def _ours(entry: Path) -> bool:
+        return entry.name.startswith((".chunk-", ".manifest.", "chunk-")) or entry.name == "manifest.json"
+
+    def path(self, index: int) -> Path:
+        return self.folder / f"chunk-{index:07d}.safetensors"
+
+    def save(self, index: int, tensors: dict[str, Tensor]) -> None:
+        with atomic(self.path(index)) as path:
+            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
+
+    def load(self, index: int) -> dict[str, Tensor] | None:
+        """The tensors of a chunk (memory-mapped), or None if it is not there or was damaged by a crash."""
+        if not self.path(index).exists():
+            return None
+        try:
+            return load_file(self.path(index))
+        except (SafetensorError, OSError):
+            return None
+
+    def close(self) -> None:
+        if self._temporary:
+            self._temporary.cleanup()
+
+    def discard(self) -> None:
+        """Removes the folder: the bake is done."""
+        self.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def fingerprint(tensors: Iterable[Tensor], parameters: dict[str, object]) -> str:
+    """A digest of all that decides the result of a bake."""
+    digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
+    for tensor in tensors:
+        digest.update(f"{tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(tensor.detach().cpu().contiguous().view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def _fingerprint_in(manifest: Path) -> str | None:
+    try:
+        return json.loads(manifest.read_text())["fingerprint"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,57 @@
+"""A bar with the ray rate and the time left."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+
+class Report(Protocol):
+    """What a bake tells while it works."""
+
+    def start(self, stage: str, total: int, done: int = 0) -> None:
+        """A stage begins: `total` rays (or receivers, for a bounce), of which `done` were there already."""
+
+    def advance(self, count: int) -> None:
+        """`count` more are done."""
+
+
+class Silent:
+    """Tells nothing."""
+
+    def start(self, stage: str, total: int, done: int = 0) -> None: ...
+
+    def advance(self, count: int) -> None: ...
+
+
+class _Rate(ProgressColumn):
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("" if speed is None else f"{speed / 1e6:.1f} M/s", style="progress.data.speed")
+
+
+class Bar:
+    """A progress bar on standard error, one line a stage; a context manager."""
+
+    def __init__(self) -> None:
+        columns = (TextColumn("{task.description:>9}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
+        self._progress = Progress(*columns, _Rate(), TimeRemainingColumn(), console=Console(stderr=True))
+        self._task = None
+
+    def __enter__(self) -> Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None):
+        self._progress.stop()
+
+    def start(self, stage: str, total: int, done: int = 0) -> None:
+        self._task = self._progress.add_task(stage, total=total, completed=done)
+
+    def advance(self, count: int) -> None:
+        if self._task is not None:
+            self._progress.advance(self._task, count)

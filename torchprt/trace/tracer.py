@@ -1,0 +1,133 @@
+"""Embree behind three questions: what is visible, what is hit, what does a camera see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchprt.errors import InputError
+
+# Rays start this far off their surface, relative to the coordinates that were rounded to float32 and to the triangles
+# that meet there: 64 epsilon. Embree's own error on such a triangle is a few epsilon of the same lengths, the
+# rounding of the origin half an epsilon.
+OFFSET = 64 * 2.0**-23
+
+
+@dataclass
+class Hits:
+    """The nearest hit of every ray: `triangle` (-1 where it escapes), barycentrics `u`, `v` of the second and third
+    corner, and whether the `front` of the triangle was hit (counter-clockwise corners seen from the ray)."""
+
+    triangle: Int[Tensor, "v D"]
+    u: Float[Tensor, "v D"]
+    v: Float[Tensor, "v D"]
+    front: Bool[Tensor, "v D"]
+
+
+class Tracer:
+    """Rays against the triangles of a scene.
+
+    Positions are recentred in float64 and scaled by a power of two to unit size before they become float32, so that
+    a scan in micrometres far from its origin is traced as exactly as one around it.
+    Embree runs in robust mode: no ray slips through a shared edge. Thread-safe; embreex releases the GIL.
+    Pickles as its geometry alone.
+    Source of the offset: Waechter and Binder, Ray Tracing Gems 1, chapter 6.
+    """
+
+    def __init__(self, positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]):
+        self._positions = positions.detach().to("cpu", torch.float64)
+        self._faces = faces.detach().to("cpu", torch.int32).contiguous()
+        if len(self._faces) == 0:
+            raise InputError("the scene has no triangles to trace: give a mesh with faces")
+        used = self._positions[self._faces.flatten().unique().long()]
+        low, high = used.amin(0), used.amax(0)
+        extent = float((high - low).max())
+        if not np.isfinite(extent) or extent == 0:
+            raise InputError("the scene has no extent: its triangles are all one point or not finite")
+        self.centre = (low + high) / 2
+        self.scale = 2.0 ** -np.ceil(np.log2(extent))
+        self._build()
+
+    def _build(self) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        vertices = self.local(self._positions).to(torch.float32).contiguous().numpy()
+        self._scene = EmbreeScene(robust=True)
+        self._mesh = TriangleMesh(self._scene, vertices, self._faces.numpy())
+        # The first query builds the tree; it must not race with others.
+        zero = np.zeros((1, 3), np.float32)
+        self._scene.run(zero, zero + np.float32(1), query="OCCLUDED")
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_scene", "_mesh")}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._build()
+
+    def local(self, points: Float[Tensor, "*v 3"]) -> Float[Tensor, "*v 3"]:
+        """World points in the recentred frame of unit size in which rays are traced, float64."""
+        return (points.to(torch.float64) - self.centre) * self.scale
+
+    def origins(
+        self, points: Float[Tensor, "v 3"], normals: Float[Tensor, "v 3"], size: Float[Tensor, "v"] | float = 0.0
+    ) -> Float[Tensor, "v 3"]:
+        """Where rays from surface points start, float32, local frame: lifted along the normal by `OFFSET` times the
+        larger of the coordinates and of `size`, the extent of the triangles around each point in world units."""
+        local = self.local(points)
+        size = torch.as_tensor(size, dtype=torch.float64) * self.scale
+        lift = OFFSET * (local.abs().amax(-1) + size)
+        return (local + lift[:, None] * normals.to(torch.float64)).to(torch.float32)
+
+    def visibility(
+        self,
+        origins: Float[Tensor, "v 3"],
+        frames: Float[Tensor, "v 3 3"],
+        directions: Float[Tensor, "D 3"],
+    ) -> Int[Tensor, "v D"]:
+        """-1 where the ray escapes, 0 where anything blocks it: Embree's own numbers, which one product can use.
+
+        `origins` from `origins()`; `directions` in the local frames whose rows are tangent, bitangent and normal.
+        """
+        start, rays = self._rays(origins, frames, directions)
+        blocked = self._scene.run(start, rays, query="OCCLUDED")
+        return torch.from_numpy(blocked).view(len(origins), len(directions))
+
+    def hits(
+        self,
+        origins: Float[Tensor, "v 3"],
+        frames: Float[Tensor, "v 3 3"],
+        directions: Float[Tensor, "D 3"],
+    ) -> Hits:
+        """The nearest hit of every ray; arguments as for `visibility`."""
+        start, rays = self._rays(origins, frames, directions)
+        return self._nearest(start, rays, (len(origins), len(directions)))
+
+    def camera(self, eye: Float[Tensor, "3"], directions: Float[Tensor, "H W 3"]) -> Hits:
+        """What a pinhole camera at `eye` (world) sees along each direction (world, any length)."""
+        height, width = directions.shape[:2]
+        rays = np.ascontiguousarray(directions.reshape(-1, 3).to(torch.float32).numpy())
+        start = np.ascontiguousarray(self.local(eye).to(torch.float32).expand(height * width, 3).numpy())
+        return self._nearest(start, rays, (height, width))
+
+    def _nearest(self, start: np.ndarray, rays: np.ndarray, shape: tuple[int, int]) -> Hits:
+        found = self._scene.run(start, rays, output=1)
+        facing = np.einsum("rk,rk->r", found["Ng"], rays) < 0
+        triangle, u, v, front = (
+            torch.from_numpy(part).view(shape) for part in (found["primID"], found["u"], found["v"], facing)
+        )
+        return Hits(triangle, u, v, front)
+
+    @staticmethod
+    def _rays(origins: Tensor, frames: Tensor, directions: Tensor) -> tuple[np.ndarray, np.ndarray]:
+        """`[v * D, 3]` origins and directions, the rays of one point together (better for the caches of Embree)."""
+        count, rays = len(origins), len(directions)
+        start = origins[:, None].expand(count, rays, 3).reshape(-1, 3)
+        # Components first: three products that stream; embreex reads any strides.
+        world = torch.mm(frames.transpose(1, 2).transpose(0, 1).reshape(-1, 3), directions.T).view(3, -1)
+        return start.numpy(), world.numpy().T
