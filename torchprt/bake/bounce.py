@@ -29,7 +29,12 @@ class Gather:
         if len(self.sources) == 0:
             return exitant.new_zeros(len(self.offsets) - 1, exitant.shape[1])
         return torch.nn.functional.embedding_bag(
-            self.sources, exitant, self.offsets, mode="sum", per_sample_weights=self.weights, include_last_offset=True
+            self.sources,
+            exitant,
+            self.offsets,
+            mode="sum",
+            per_sample_weights=self.weights,
+            include_last_offset=True,
         )
 
 

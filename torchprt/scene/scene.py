@@ -25,7 +25,7 @@ class Requirements:
     """Which kind of transfer."""
     channels: int
     """1, or 3 if light bounces off coloured surfaces."""
-    bounces: int
+    bounces: float
     """How often light is followed from surface to surface; 0 for shadows alone."""
 
     @property

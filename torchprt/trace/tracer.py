@@ -75,7 +75,10 @@ class Tracer:
         return (points.to(torch.float64) - self.centre) * self.scale
 
     def origins(
-        self, points: Float[Tensor, "v 3"], normals: Float[Tensor, "v 3"], size: Float[Tensor, "v"] | float = 0.0
+        self,
+        points: Float[Tensor, "v 3"],
+        normals: Float[Tensor, "v 3"],
+        size: Float[Tensor, "v"] | float = 0.0,
     ) -> Float[Tensor, "v 3"]:
         """Where rays from surface points start, float32, local frame: lifted along the normal by `OFFSET` times the
         larger of the coordinates and of `size`, the extent of the triangles around each point in world units."""

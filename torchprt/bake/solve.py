@@ -1,0 +1,167 @@
+"""Transport over all receivers: trace every chunk once, then bounce until enough light has come."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.bake.bounce import Gather, Surfaces, shadowed_with_hits
+from torchprt.bake.checkpoint import Checkpoint
+from torchprt.bake.diffuse import Receivers, projection, shadowed
+from torchprt.bake.directions import hemisphere
+from torchprt.bake.progress import Report
+from torchprt.bake.workers import Workers, chunks
+from torchprt.errors import InputError
+from torchprt.scene import Geometry
+from torchprt.trace import Tracer
+
+# Light that bounces without end is followed until a bounce adds less than this part of the transfer (RMS).
+ENERGY = 1e-4
+
+
+@dataclass
+class Job:
+    """What a bake is made of, and nothing that changes while it runs."""
+
+    tracer: Tracer
+    surfaces: Surfaces
+    receivers: Receivers
+    order: int
+    rays: int
+    seed: int
+    channels: int
+
+    def directions(self) -> tuple[Float[Tensor, "D 3"], Float[Tensor, "N D"]]:
+        """The directions of every receiver and the matrix that projects what they see."""
+        directions = hemisphere(self.rays, self.seed)
+        return directions, projection(directions, self.order)
+
+
+@dataclass
+class Solution:
+    """`transfer [C, N, V]`; `exitant [V, C * N]`, what its last bounce gathered from (None without one)."""
+
+    transfer: Tensor
+    exitant: Tensor | None = None
+    bounces: int = 0
+
+
+def surfaces(geometry: Geometry) -> Surfaces:
+    """Which receivers reflect at the corners of the faces of a scene."""
+    return Surfaces(geometry.receiver_of_vertex[geometry.faces], geometry.back_receiver_of_vertex[geometry.faces])
+
+
+def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:
+    """The receivers of a scene with the origins of their rays."""
+    corners = geometry.positions[geometry.faces]
+    extent = (corners.amax(1) - corners.amin(1)).amax(-1)
+    size = torch.zeros(len(geometry.positions), dtype=torch.float64)
+    size = size.scatter_reduce(0, geometry.faces.flatten(), extent.repeat_interleave(3), "amax")
+    on_receivers = torch.zeros(geometry.receivers, dtype=torch.float64)
+    for numbering in (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex):
+        on_receivers[numbering[numbering >= 0]] = size[numbering >= 0]
+    points, normals = geometry.receiver_positions, geometry.receiver_normals
+    return Receivers(points, normals, tracer.origins(points, normals, on_receivers))
+
+
+def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]) -> Float[Tensor, "V W"]:
+    """Transfer times albedo, vertices first so that a hit reads one row, channels and coefficients side by side."""
+    factors = albedo.expand(-1, len(transfer)) if len(transfer) > 1 else albedo[:, :1]
+    return (transfer.permute(2, 0, 1) * factors[:, :, None]).flatten(1)
+
+
+def solve(
+    job: Job,
+    albedo: Float[Tensor, "V D"],
+    bounces: float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> Solution:
+    """Transfer of all receivers of `job`, which are those that reflect; bounces need a `store` for their hits."""
+    direct = trace(job, store, workers, report, keep_hits=bounces > 0)
+    solution = Solution(direct.expand(job.channels, -1, -1))
+    if not bounces:
+        return Solution(direct[None])
+    assert store is not None
+    everything = chunks(len(job.receivers))
+    # From here on vertices first; the layout that shades again at the end.
+    total = solution.transfer.permute(2, 0, 1).flatten(1).contiguous()
+    scale = exit_radiance(torch.ones(job.channels, job.order**2, 1).expand(-1, -1, len(total)), albedo)
+    added = total
+    while solution.bounces < bounces:
+        exitant = scale * added
+
+        def bounce(index: int, exitant: Tensor = exitant) -> tuple[int, Tensor]:
+            return index, _kept_gather(store, index) @ exitant
+
+        report.start(f"bounce {solution.bounces + 1}", len(job.receivers))
+        added = torch.empty_like(total)
+        for index, part in workers.map(bounce, range(len(everything))):
+            added[everything[index]] = part
+            report.advance(len(part))
+        # The sum of all bounces is one more gather from the sum of all but the last.
+        solution.exitant = scale * total
+        total = total + added
+        solution.bounces += 1
+        if bounces == math.inf and added.norm() <= ENERGY * total.norm():
+            break
+    solution.transfer = total.view(len(total), job.channels, -1).permute(1, 2, 0).contiguous()
+    return solution
+
+
+def trace(
+    job: Job, store: Checkpoint | None, workers: Workers, report: Report, *, keep_hits: bool
+) -> Float[Tensor, "N V"]:
+    """Shadowed transfer of every chunk that the store does not hold yet; with `keep_hits` the store gets the hits."""
+    everything = chunks(len(job.receivers))
+    directions, project = job.directions()
+    transfer = torch.empty(job.order**2, len(job.receivers))
+    missing = []
+    for index, rows in enumerate(everything):
+        kept = None if store is None else store.load(index)
+        if kept is None:
+            missing.append(index)
+        else:
+            transfer[:, rows] = kept["transfer"]
+
+    def one(index: int) -> tuple[int, Tensor]:
+        receivers = job.receivers[everything[index]]
+        contents = {}
+        if keep_hits:
+            part, gather = shadowed_with_hits(job.tracer, job.surfaces, receivers, directions, project)
+            contents = vars(gather)
+        else:
+            part = shadowed(job.tracer, receivers, directions, project)
+        if store is not None:
+            store.save(index, {"transfer": part, **contents})
+        return index, part
+
+    left = sum(everything[index].stop - everything[index].start for index in missing)
+    report.start("trace", job.rays * len(job.receivers), job.rays * (len(job.receivers) - left))
+    for index, part in workers.map(one, missing):
+        transfer[:, everything[index]] = part
+        report.advance(part.shape[1] * job.rays)
+    return transfer
+
+
+def gathered(
+    job: Job, rows: slice | Tensor, exitant: Tensor | None, directions: Tensor, project: Tensor
+) -> Float[Tensor, "C N v"]:
+    """Shadowed transfer of some receivers plus one gather of what the surfaces around them send out."""
+    receivers = job.receivers[rows]
+    if exitant is None:
+        return shadowed(job.tracer, receivers, directions, project).expand(job.channels, -1, -1)
+    direct, gather = shadowed_with_hits(job.tracer, job.surfaces, receivers, directions, project)
+    return direct + (gather @ exitant).view(len(receivers), job.channels, -1).permute(1, 2, 0)
+
+
+def _kept_gather(store: Checkpoint, index: int) -> Gather:
+    contents = store.load(index)
+    if contents is None:
+        raise InputError(f"{store.path(index)} vanished or was damaged during the bake: run it again")
+    return Gather(contents["offsets"], contents["sources"], contents["weights"])
