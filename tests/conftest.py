@@ -2,11 +2,16 @@
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+import torch
 from jaxtyping import config, install_import_hook
+
+if TYPE_CHECKING:
+    from torchprt.transfer import DiffuseTransfer
 
 if os.environ.get("TORCHPRT_TYPECHECK", "1") != "0":
     install_import_hook("torchprt", "beartype.beartype")
@@ -35,3 +40,45 @@ def untyped() -> Iterator[None]:
         warnings.filterwarnings("ignore", message=".*axis name.*will not be used")
         yield
     config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="session")
+def make_transfer() -> "Callable[..., DiffuseTransfer]":
+    """Builds random diffuse transfer on a square grid in the plane y = 0: there is no bake in it.
+
+    `albedo` is the shape of the albedo, whose letter V stands for the number of vertices. Other keywords go to
+    `DiffuseTransfer`.
+    """
+
+    def make(
+        side: int = 5,
+        order: int = 4,
+        channels: int = 1,
+        albedo: tuple[int | str, int] = ("V", 3),
+        dtype: torch.dtype = torch.float32,
+        seed: int = 0,
+        **metadata: Any,
+    ) -> "DiffuseTransfer":
+        from torchprt.transfer import DiffuseTransfer
+
+        generator = torch.Generator().manual_seed(seed)
+        vertices = side * side
+        wide = dtype if dtype == torch.float64 else torch.float32
+        band = torch.arange(order).repeat_interleave(2 * torch.arange(order) + 1)
+        # Bands of a transported cosine fall off about as (l + 1)^-2.
+        vectors = torch.randn(channels, order**2, vertices, generator=generator, dtype=wide) / (1 + band[:, None]) ** 2
+        rows = vertices if albedo[0] == "V" else int(albedo[0])
+        ticks = torch.linspace(-1, 1, side, dtype=wide)
+        x, z = torch.meshgrid(ticks, ticks, indexing="ij")
+        corner = (torch.arange(max(side - 1, 0))[:, None] * side + torch.arange(max(side - 1, 0))).reshape(-1)
+        quads = torch.stack([corner, corner + 1, corner + side + 1, corner + side], -1)
+        return DiffuseTransfer(
+            transfer=vectors.to(dtype),
+            albedo=0.1 + 0.8 * torch.rand(rows, albedo[1], generator=generator, dtype=wide),
+            positions=torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3),
+            normals=torch.tensor([0.0, 1.0, 0.0], dtype=wide).repeat(vertices, 1),
+            faces=torch.cat([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]),
+            **metadata,
+        )
+
+    return make

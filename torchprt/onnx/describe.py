@@ -1,0 +1,104 @@
+"""What an exported file says about itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import onnx
+from google.protobuf.message import DecodeError
+
+from torchprt.errors import InputError
+from torchprt.onnx.graph import Source
+from torchprt.onnx.operators import count_operators
+from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer.file import CONVENTIONS
+from torchprt.version import VERSION
+
+FORMAT = 1
+
+INPUTS = {
+    "light": (
+        "SH coefficients [B, order^2, 3] of linear RGB incident radiance: real orthonormal basis with the "
+        "Condon-Shortley sign, index l(l+1)+m."
+    ),
+    "environment": (
+        "Cube maps [B, 6, H, W, 3] of linear RGB radiance, faces +x -x +y -y +z -z in OpenGL texel orientation."
+    ),
+    "rotation": "Proper rotation matrices [B, 3, 3] that turn the environment; the identity leaves it as it is.",
+    "radiance": "Linear RGB exit radiance [B, vertices, 3], albedo applied, before exposure, tone map and sRGB.",
+}
+
+KEYS = (
+    "torchprt", "format", "kind", "order", "conventions", "source", "size", "vertices", "channels", "albedo",
+    "transport", "bounces", "rays", "seed", "error", "signal", "baked_with",
+)  # fmt: skip
+
+
+def metadata(transfer: DiffuseTransfer, source: Source, size: int) -> dict[str, str]:
+    """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON."""
+    provenance = {
+        field.name: getattr(transfer, field.name)
+        for field in dataclasses.fields(transfer)
+        if field.name not in transfer.layouts and field.name != "version"
+    }
+    entries = {
+        "torchprt": VERSION,
+        "format": FORMAT,
+        "kind": transfer.kind,
+        "order": transfer.order,
+        "conventions": CONVENTIONS,
+        "source": source,
+        "size": size if source == "environment" else None,
+        "vertices": transfer.vertices,
+        "channels": transfer.channels,
+        "albedo": "applied, one for all vertices" if transfer.albedo.shape[0] == 1 else "applied, one a vertex",
+        **provenance,
+        "baked_with": transfer.version,
+    }
+    return {key: json.dumps(value) for key, value in entries.items()}
+
+
+def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a file that `export` wrote says about itself, for people and for programs that run it.
+
+    Its metadata (kind, order, conventions, source, albedo, bounces, provenance), and read from the graph:
+    `inputs` and `outputs` (name -> shape, dynamic sizes as names), `opset`, `operators` (name -> count), `bytes`.
+
+    Raises InputError, naming the file and the fault, if it is missing, truncated, not ONNX, not of this project or
+    of a newer format.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: give a file that `torchprt export` wrote")
+    try:
+        model = onnx.load(path, load_external_data=False)
+    except (DecodeError, OSError) as fault:
+        raise InputError(f"{path} is not a whole ONNX file: export it again") from fault
+    texts = {entry.key: entry.value for entry in model.metadata_props}
+    if "torchprt" not in texts:
+        raise InputError(f"{path} is not an ONNX file of torchprt, or it is cut short: give one that `export` wrote")
+    try:
+        entries: dict[str, Any] = {key: json.loads(text) for key, text in texts.items()}
+    except json.JSONDecodeError as fault:
+        raise InputError(f"{path} has damaged metadata: export it again") from fault
+    if isinstance(entries.get("format"), int) and entries["format"] > FORMAT:
+        raise InputError(f"{path} has format {entries['format']}, newer than the {FORMAT} of this torchprt: update it")
+    missing = [key for key in KEYS if key not in entries]
+    if missing:
+        raise InputError(f"{path} lacks the metadata '{missing[0]}': it is cut short, export it again")
+    return entries | {
+        "inputs": {value.name: shape(value) for value in model.graph.input},
+        "outputs": {value.name: shape(value) for value in model.graph.output},
+        "opset": {entry.domain: entry.version for entry in model.opset_import}.get("", 0),
+        "operators": count_operators(model),
+        "bytes": path.stat().st_size,
+    }
+
+
+def shape(value: onnx.ValueInfoProto) -> tuple[int | str, ...]:
+    """Sizes of an input or output; a dynamic one by its name."""
+    return tuple(size.dim_param or size.dim_value for size in value.type.tensor_type.shape.dim)
