@@ -9,52 +9,32 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 
+_CONSTANT = math.sqrt(0.25 / math.pi)
+_LINEAR = math.sqrt(0.75 / math.pi)
+
 
 def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"]:
     """Every basis function y_lm, l < `order`, at unit `directions`; index i = l(l + 1) + m.
 
-    Real, orthonormal, with the Condon-Shortley sign (docs/conventions.md). The result is a view of memory with
-    components first, `[N, *D]`, the layout in which both evaluation and the product with a light are fast.
-    Polynomials in x, y, z through a normalised recurrence, without angles: exact at the poles, with finite
-    gradients everywhere. Directions are not checked (see `check_directions`): where they are not of unit length
-    the result means nothing.
+    Real, orthonormal, with the Condon-Shortley sign (docs/conventions.md). The result is a view of memory
+    with components first, `[N, *D]`, the layout in which both evaluation and the product with a light are
+    fast. Polynomials in x, y, z through a normalised recurrence, without angles: exact at the poles, with
+    finite gradients everywhere. Directions are not checked (see `check_directions`): where they are not of
+    unit length the result means nothing.
 
     Raises InputError if `order` is below 1.
-    Source: Sloan, Kautz and Snyder 2002, section 3, equation 1, written as Q_l^m(z) times the real or imaginary
-    part of (x + iy)^m; Sloan 2013, "Efficient spherical harmonic evaluation".
+    Source: Sloan, Kautz and Snyder 2002, section 3, equation 1, written as Q_l^m(z) times the real or
+    imaginary part of (x + iy)^m; Sloan 2013, "Efficient spherical harmonic evaluation".
     """
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
-    x, y, z = directions.unbind(-1)
     along, across = _recurrence(order, directions.dtype, directions.device)
-    along, across = (table.reshape(-1, *(1,) * x.dim()) for table in (along, across))
-    bands = [torch.full_like(z, math.sqrt(0.25 / math.pi)).unsqueeze(0)]
-    if order > 1:
-        scale = math.sqrt(0.75 / math.pi)
-        bands.append(torch.stack([-scale * y, scale * z, -scale * x]))
-    for l in range(2, order):
-        before, last = bands[l - 2], bands[l - 1]
-        sine, cosine = last[0], last[-1]
-        sectoral = -math.sqrt((2 * l + 1) / (2 * l))
-        inner = slice(l * l + 1, (l + 1) ** 2 - 1)
-        risen = last * z * along[inner]
-        bands.append(
-            torch.cat(
-                [
-                    (sectoral * (x * sine + y * cosine)).unsqueeze(0),
-                    risen[:1],
-                    risen[1:-1] - before * across[inner][1:-1],
-                    risen[-1:],
-                    (sectoral * (x * cosine - y * sine)).unsqueeze(0),
-                ]
-            )
-        )
-    return torch.cat(bands).movedim(0, -1)
+    build = _in_place if _only_values_are_wanted(directions) else _functional
+    components = build(directions.reshape(-1, 3).T.contiguous(), along, across, order)
+    return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
 
 
-def evaluate(
-    coefficients: Float[Tensor, "*B N C"], directions: Float[Tensor, "D 3"]
-) -> Float[Tensor, "*B D C"]:
+def evaluate(coefficients: Float[Tensor, "*B N C"], directions: Float[Tensor, "D 3"]) -> Float[Tensor, "*B D C"]:
     """The functions with the given `coefficients`, reconstructed at unit `directions` shared by the batch.
 
     Raises InputError if N is not a square number.
@@ -75,7 +55,7 @@ def order_of(count: int) -> int:
 
 def bands(order: int) -> Int[Tensor, " N"]:
     """The band l of each of the `order`^2 coefficients."""
-    return torch.arange(order).repeat_interleave(2 * torch.arange(order) + 1)
+    return torch.tensor([l for l in range(order) for _ in range(2 * l + 1)])
 
 
 def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions") -> None:
@@ -84,8 +64,56 @@ def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions"
         raise InputError(f"{name} must be finite and of unit length: normalise them and remove zero vectors")
 
 
+def _functional(xyz: Tensor, along: Tensor, across: Tensor, order: int) -> Tensor:
+    x, y, z = xyz
+    bands = [torch.full_like(xyz[:1], _CONSTANT)]
+    if order > 1:
+        bands.append(torch.stack([-_LINEAR * y, _LINEAR * z, -_LINEAR * x]))
+    for l in range(2, order):
+        before, last = bands[l - 2], bands[l - 1]
+        sine, cosine = last[:1], last[-1:]
+        sectoral = -math.sqrt((2 * l + 1) / (2 * l))
+        a, b = along[l * l + 1 : (l + 1) ** 2 - 1], across[l * l + 2 : (l + 1) ** 2 - 2]
+        risen = last * z * a
+        lowest = (x * sine + y * cosine) * sectoral
+        highest = (x * cosine - y * sine) * sectoral
+        bands.append(torch.cat([lowest, risen[:1], risen[1:-1] - b * before, risen[-1:], highest]))
+    return torch.cat(bands)
+
+
+def _in_place(xyz: Tensor, along: Tensor, across: Tensor, order: int) -> Tensor:
+    """`_functional` written straight into the result: three times faster, without gradients."""
+    x, y, z = xyz
+    rows = xyz.new_empty(order * order, xyz.shape[1])
+    rows[0].fill_(_CONSTANT)
+    if order > 1:
+        for row, axis, factor in zip(rows[1:4], (y, z, x), (-_LINEAR, _LINEAR, -_LINEAR), strict=True):
+            torch.mul(axis, factor, out=row)
+    for l in range(2, order):
+        start, end = l * l, (l + 1) ** 2
+        before, last = rows[(l - 2) ** 2 : (l - 1) ** 2], rows[(l - 1) ** 2 : start]
+        sine, cosine = last[0], last[-1]
+        sectoral = -math.sqrt((2 * l + 1) / (2 * l))
+        torch.mul(last, z, out=rows[start + 1 : end - 1]).mul_(along[start + 1 : end - 1])
+        rows[start + 2 : end - 2].addcmul_(across[start + 2 : end - 2], before, value=-1)
+        torch.mul(x, sine, out=rows[start]).addcmul_(y, cosine).mul_(sectoral)
+        torch.mul(x, cosine, out=rows[end - 1]).addcmul_(y, sine, value=-1).mul_(sectoral)
+    return rows
+
+
+def _only_values_are_wanted(directions: Tensor) -> bool:
+    """No graph is traced, no gradient recorded, no torch.func transform active: none of them knows `out=`."""
+    return not (
+        torch.compiler.is_compiling()
+        or (torch.is_grad_enabled() and directions.requires_grad)
+        or torch.autograd.forward_ad._current_level >= 0
+        or torch._C._functorch.peek_interpreter_stack() is not None
+    )
+
+
 def _recurrence(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    # While a graph is traced the tables must belong to it; a cache would leak traced tensors into later calls.
+    # While a graph is traced the tables must belong to it; a cache would leak traced tensors into later
+    # calls.
     build = _recurrence_tables if torch.compiler.is_compiling() else _cached_recurrence_tables
     return build(order, dtype, device)
 
@@ -100,8 +128,8 @@ def _recurrence_tables(order: int, dtype: torch.dtype, device: torch.device) -> 
             along.append(a)
             across.append(b)
     return (
-        torch.tensor(along, dtype=dtype, device=device),
-        torch.tensor(across, dtype=dtype, device=device),
+        torch.tensor(along, dtype=dtype, device=device).unsqueeze(-1),
+        torch.tensor(across, dtype=dtype, device=device).unsqueeze(-1),
     )
 
 

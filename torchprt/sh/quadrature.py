@@ -14,9 +14,7 @@ from torchprt.errors import InputError
 _LEBEDEV_DEGREES = (*range(3, 32, 2), *range(35, 132, 6))
 
 
-def gauss_legendre(
-    degree: int, dtype: torch.dtype = torch.float64
-) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
+def gauss_legendre(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
     """The product rule exact for polynomials up to `degree`: Gauss-Legendre in z, equal steps around it.
 
     D = (degree // 2 + 1) (degree + 1) unit directions; the weights are positive and sum to 4 pi.
@@ -29,9 +27,7 @@ def gauss_legendre(
     return torch.tensor(directions, dtype=dtype), torch.tensor(weights, dtype=dtype)
 
 
-def lebedev(
-    degree: int, dtype: torch.dtype = torch.float64
-) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
+def lebedev(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
     """The smallest published Lebedev rule exact at least to `degree`: about two thirds of a product rule.
 
     Weights sum to 4 pi; those of degree 13, 25 and 27 are not all positive.
@@ -47,9 +43,7 @@ def lebedev(
     return torch.tensor(directions.T.copy(), dtype=dtype), torch.tensor(weights, dtype=dtype)
 
 
-def fibonacci(
-    count: int, dtype: torch.dtype = torch.float64
-) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
+def fibonacci(count: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
     """`count` unit directions on the spherical Fibonacci spiral about +z, with equal weights 4 pi / `count`.
 
     Not exact for any degree, but evenly spread for every count: for functions with edges, such as visibility.
@@ -60,7 +54,8 @@ def fibonacci(
         raise InputError(f"count must be at least 1, not {count}")
     index = torch.arange(count, dtype=torch.float64)
     z = 1 - (2 * index + 1) / count
-    # The fraction is taken before the angle, so that the last of a million directions is as exact as the first.
+    # The fraction is taken before the angle, so that the last of a million directions is as exact as the
+    # first.
     turn = 2 * math.pi * torch.frac(index * (2 / (1 + math.sqrt(5))))
     # 1 - z^2 in the form that keeps its digits near the poles.
     radius = torch.sqrt((1 - z) * (1 + z))

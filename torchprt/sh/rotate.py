@@ -34,7 +34,8 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
 class Rotation(torch.nn.Module):
     """`rotate` for lights of one order with its constants as buffers: for modules that are compiled or exported.
 
-    `forward(light [*B, N, C], rotation [*B, 3, 3]) -> [*B, N, C]`, plain operations only, no check of `rotation`.
+    `forward(light [*B, N, C], rotation [*B, 3, 3]) -> [*B, N, C]`, plain operations only, no check of
+    `rotation`.
     Raises InputError if `order` is below 1.
     """
 
@@ -48,9 +49,7 @@ class Rotation(torch.nn.Module):
         self.register_buffer("points", points, persistent=False)
         self.register_buffer("project", project, persistent=False)
 
-    def forward(
-        self, light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]
-    ) -> Float[Tensor, "... N C"]:
+    def forward(self, light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) -> Float[Tensor, "... N C"]:
         return _turn(light, rotation, self.points, self.project, self.order)
 
 
