@@ -1,5 +1,6 @@
 """All objects of a scene as one set of tensors, for tracing and for recording."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -54,14 +55,16 @@ def gather(objects: Sequence[Object]) -> Geometry:
     reversible = [object.receives and object.material.two_sided for object in objects]
     fronts = _starts([size * on for size, on in zip(sizes, receiving, strict=True)])
     backs = _starts([size * on for size, on in zip(sizes, reversible, strict=True)], fronts[-1])
-    slices = tuple(slice(a, b) for a, b in zip(fronts[:-1], fronts[1:], strict=True))
-    back_slices = tuple(slice(a, b) for a, b in zip(backs[:-1], backs[1:], strict=True))
+    slices = tuple(slice(a, b) for a, b in itertools.pairwise(fronts))
+    back_slices = tuple(slice(a, b) for a, b in itertools.pairwise(backs))
     front_objects = [object for object, on in zip(objects, receiving, strict=True) if on]
     back_objects = [object for object, on in zip(objects, reversible, strict=True) if on]
     both = front_objects + back_objects
     none = torch.zeros(0, 3, dtype=torch.float64)
     channels = 3 if any(differs(object.albedo) for object in front_objects) else 1
-    display = [object.mesh.faces + rows.start for object, rows, on in zip(objects, slices, receiving, strict=True) if on]
+    display = [
+        object.mesh.faces + rows.start for object, rows, on in zip(objects, slices, receiving, strict=True) if on
+    ]
     display += [
         object.mesh.faces.flip(1) + rows.start
         for object, rows, on in zip(objects, back_slices, reversible, strict=True)
@@ -78,9 +81,7 @@ def gather(objects: Sequence[Object]) -> Geometry:
         receiver_normals=torch.cat(
             [none, *(o.mesh.normals for o in front_objects), *(-o.mesh.normals for o in back_objects)]
         ),
-        albedo=torch.cat(
-            [torch.zeros(0, channels), *(_channels(object.albedo, channels) for object in both)]
-        ),
+        albedo=torch.cat([torch.zeros(0, channels), *(_channels(object.albedo, channels) for object in both)]),
         display_faces=torch.cat([torch.zeros(0, 3, dtype=torch.int64), *display]),
         slices=slices,
         back_slices=back_slices,

@@ -32,7 +32,9 @@ class Material:
     def __post_init__(self) -> None:
         if isinstance(self.albedo, str):
             if self.albedo != "vertex":
-                raise InputError(f'albedo {self.albedo!r} is not known: give numbers, or "vertex" for the colours of the mesh')
+                raise InputError(
+                    f'albedo {self.albedo!r} is not known: give numbers, or "vertex" for the colours of the mesh'
+                )
             return
         check_albedo(table(self.albedo), "albedo")
 

@@ -18,7 +18,7 @@ Array = np.ndarray | Tensor
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles, in the order of the file: no vertex is dropped, merged or moved. Made by `read_mesh` or `make_mesh`."""
+    """Triangles in the order of the file, no vertex dropped or merged. Made by `read_mesh` or `make_mesh`."""
 
     positions: Float64[Tensor, "V 3"]
     faces: Int64[Tensor, "F 3"]
@@ -87,7 +87,9 @@ def _refuse(positions: Float[np.ndarray, "V 3"], faces: Shaped[np.ndarray, "F 3"
     if not len(positions):
         raise InputError(f"{name} holds no vertices: give a mesh of triangles")
     if not len(faces):
-        raise InputError(f"{name} holds {len(positions)} points and no faces: give a mesh of triangles, not a point cloud")
+        raise InputError(
+            f"{name} holds {len(positions)} points and no faces: give a mesh of triangles, not a point cloud"
+        )
     bad = ~np.isfinite(positions).all(axis=1)
     if bad.any():
         raise InputError(

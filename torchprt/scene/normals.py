@@ -44,9 +44,7 @@ def corner_angles(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F
     return 2 * np.arctan2(np.linalg.norm(ahead - back, axis=2), np.linalg.norm(ahead + back, axis=2))
 
 
-def vertex_normals(
-    positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Float[np.ndarray, "V 3"]:
+def vertex_normals(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
     """Unit normals of vertices from their faces, weighted by the angle of each face at the vertex.
 
     A vertex averages all faces that name it. Where a mesh repeats a position (texture seams, STL), the copies
@@ -61,9 +59,7 @@ def vertex_normals(
     patch = _smooth_patches(positions, faces, normals)
     patches = int(patch.max(initial=-1)) + 1
     flat = weights.ravel()
-    total = np.stack(
-        [np.bincount(patch, flat * np.repeat(normals[:, k], 3), patches) for k in range(3)], axis=1
-    )
+    total = np.stack([np.bincount(patch, flat * np.repeat(normals[:, k], 3), patches) for k in range(3)], axis=1)
     weight = np.bincount(patch, flat, patches)
     usable = np.linalg.norm(total, axis=1) > CANCELLED * weight
     smooth = unit(np.where(usable[:, None], total, 0.0))

@@ -4,6 +4,7 @@ trimesh groups faces by material, drops or reorders vertices on the way, reads r
 stood at the end of the file, and takes index 0 for 1. Transfer is stored by vertex, so the order must be kept.
 """
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,7 @@ Corner = tuple[int, int]
 """Vertex and normal, from 0; normal -1 for none."""
 
 
-def parse_obj(
-    data: bytes, source: Path
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Positions, triangles, normals and linear colours (None where the file has none) of an .obj file.
 
     A vertex that faces use with one normal, or none, stays one vertex; with several it is repeated beside itself.
@@ -39,7 +38,7 @@ def parse_obj(
                 polygon = [_corner(word, len(vertices), len(normals)) for word in words[1:]]
                 if len(polygon) < 3:
                     raise ValueError("has a face of fewer than three corners")
-                for second, third in zip(polygon[1:-1], polygon[2:], strict=True):
+                for second, third in itertools.pairwise(polygon):
                     corners += (polygon[0], second, third)
         except ValueError as fault:
             raise InputError(f"{source} line {number} {fault}: export the mesh again") from fault

@@ -1,6 +1,6 @@
 """A mesh, its material, and what it does in a scene."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from jaxtyping import Float32
 from torch import Tensor
@@ -13,13 +13,15 @@ from .mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Object:
-    """A mesh with a material. A "receiver" records, blocks and reflects light; a "blocker" only blocks it (it is black).
+    """A mesh with a material and a role.
+
+    A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it.
 
     Raises InputError if the role is not known or if the material does not fit the mesh.
     """
 
     mesh: Mesh
-    material: Material = Material()
+    material: Material = field(default_factory=Material)
     role: str = "receiver"
 
     def __post_init__(self) -> None:

@@ -92,9 +92,7 @@ def _join(pieces: list[Raw]) -> Raw:
     starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
     normals = None
     if any(piece.normals is not None for piece in pieces):
-        normals = np.concatenate(
-            [np.zeros_like(p.positions) if p.normals is None else p.normals for p in pieces]
-        )
+        normals = np.concatenate([np.zeros_like(p.positions) if p.normals is None else p.normals for p in pieces])
     colours = None
     if all(piece.colours is not None for piece in pieces):
         colours = np.concatenate([p.colours for p in pieces if p.colours is not None])
@@ -139,7 +137,7 @@ def _refuse_short_ply(data: bytes, source: Path) -> None:
     header, _, body = data.partition(b"end_header")
     last = body.split(b"\n")[-1] or (body.split(b"\n")[-2] if b"\n" in body else b"")
     tail = header.rsplit(b"element", 1)[-1].split(b"property", 2)
-    if b"format ascii" not in header or len(tail) < 2 or not tail[1].split()[:1] == [b"list"]:
+    if b"format ascii" not in header or len(tail) < 2 or tail[1].split()[:1] != [b"list"]:
         return
     numbers = last.split()
     if numbers and len(numbers) <= int(numbers[0]):
@@ -240,7 +238,9 @@ def _placed(piece: dict[str, Any], matrix: np.ndarray) -> Raw:
     normals = piece.get("vertex_normals")
     if normals is not None:
         # Normals go by the cofactor matrix, which exists even where the inverse does not.
-        cofactor = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+        cofactor = np.stack(
+            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
+        )
         normals = np.asarray(normals, np.float64) @ cofactor.T * (-1 if mirrored else 1)
     colours = piece.get("vertex_colors")
     if colours is not None:

@@ -1,5 +1,6 @@
 """Objects that share light, and what a bake of them requires."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,8 +26,8 @@ class Requirements:
     """Which kind of transfer."""
     channels: int
     """1, or 3 if light bounces off coloured surfaces."""
-    bounces: float
-    """How often light is followed from surface to surface; 0 for shadows alone."""
+    bounces: int | float
+    """How often light is followed from surface to surface: 0 for shadows alone, infinite for until it is spent."""
 
     @property
     def hits(self) -> bool:
@@ -50,10 +51,13 @@ class Scene:
         if not any(each.receives for each in self.objects):
             raise InputError("scene has only blockers: give at least one mesh that receives light")
 
-    def requires(self, bounces: float = 0) -> Requirements:
-        """What a bake with that many bounces of light needs. Raises InputError if `bounces` is negative."""
-        if bounces < 0:
-            raise InputError(f"bounces is {bounces}: give 0 for shadows alone, or more")
+    def requires(self, bounces: int | float = 0) -> Requirements:
+        """What a bake with that many bounces of light (or `math.inf`, until it is spent) needs.
+
+        Raises InputError if `bounces` is negative or not a whole number.
+        """
+        if not (bounces >= 0 and (math.isinf(bounces) or bounces == int(bounces))):
+            raise InputError(f"bounces is {bounces}: give 0 for shadows alone, a whole number, or infinity")
         coloured = any(each.coloured for each in self.objects)
         return Requirements(kind="diffuse", channels=3 if bounces and coloured else 1, bounces=bounces)
 
@@ -72,9 +76,9 @@ def load(
     two_sided: bool = False,
     blockers: Source | Sequence[Source] = (),
 ) -> Scene:
-    """The scene of one or several mesh files (or meshes), all of one material, and of blockers that cast shadows only.
+    """The scene of one or several mesh files (or meshes) of one material, and of blockers that only cast shadows.
 
-    `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files; see `Material`.
+    `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files.
 
     Raises InputError as `read_mesh` and `Material` do, and if there is no mesh.
     """

@@ -1,6 +1,6 @@
 """Vertices at one position are one place: how seams stop being holes."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,7 +19,8 @@ def weld(positions: Float[np.ndarray, "V 3"]) -> Int[np.ndarray, "V"]:
     return place
 
 
-class Edges(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Edges:
     """Sides of faces, sorted so that sides between the same two places follow each other.
 
     Side `j` (0, 1, 2) of face `f` runs from corner `j` to corner `j + 1`.
@@ -32,7 +33,7 @@ class Edges(NamedTuple):
     start: Int[np.ndarray, "U"]
     """Where each run of sides between the same two places begins."""
     count: Int[np.ndarray, "U"]
-    """How many sides are in that run: 1 on a boundary, 2 inside a surface, more where it is not a manifold."""
+    """How many sides are in it: 1 on a boundary, 2 inside a surface, more where it is not a manifold."""
 
 
 def edges(welded: Int[np.ndarray, "F 3"]) -> Edges:

@@ -7,7 +7,8 @@ from torchprt.errors import InputError
 
 from ..material import Material
 from ..mesh import make_mesh
-from ..scene import Object, Scene
+from ..object import Object
+from ..scene import Scene
 from .grid import grid, join
 
 RED = (0.63, 0.065, 0.05)

@@ -11,17 +11,22 @@ from ..material import Albedo, Material
 from ..mesh import Mesh, make_mesh
 from ..object import Object
 from ..scene import Scene
-from .surface_nets import surface_nets
+from .surface_nets import Field, surface_nets
 
-LIMBS = 7
-BEADS = 72
+LOW, HIGH = 7, 5
+"""Limbs that lie on the ground and limbs that rise."""
+
+BEADS = 80
 """Balls along each limb, close enough to make a smooth tube."""
+
+BLEND = 0.045
+"""Width over which limbs run into each other."""
 
 
 def organic(vertices: int = 50_000, albedo: Albedo = 0.6) -> Scene:
-    """A closed, smooth shape of about `vertices` vertices (within 2 %), some 2.5 units wide and high, standing on y = 0.
+    """A closed, smooth shape of `vertices` vertices within 2 %, some 2.7 units wide and 2 high, standing on y = 0.
 
-    Limbs rise from a hollowed body, curl around each other and taper to their ends. The same every time.
+    Ringed limbs leave a hollowed body, taper, and curl over and past each other. The same every time.
 
     Raises InputError if `vertices` is below 5000: the thin ends would be lost.
     """
@@ -39,7 +44,7 @@ def _mesh(vertices: int) -> Mesh:
     cell = 0.06
     wanted = vertices
     for attempt in range(12):
-        positions, faces = surface_nets(field, low, high, cell, relaxations=4 if attempt else 0)
+        positions, faces = surface_nets(field, low, high, cell, relaxations=3 if attempt else 0)
         close = attempt > 0 and abs(len(positions) - wanted) <= 0.02 * wanted
         if close:
             mesh = make_mesh(positions, faces, name="organic")
@@ -51,47 +56,75 @@ def _mesh(vertices: int) -> Mesh:
 
 
 def _limbs() -> tuple[Float[Tensor, "limbs beads 3"], Float[Tensor, "limbs beads"]]:
-    """Centres and radii of the balls that make up the limbs; the first is the body."""
+    """Centres and radii of the balls that make up the limbs; the first is the body, standing on y = 0."""
     t = np.linspace(0, 1, BEADS)
-    centres, radii = [], []
-    body = np.stack([0.1 * np.sin(4 * t), 0.35 + 0.55 * t, 0.1 * np.cos(5 * t) - 0.1], axis=-1)
-    centres.append(body)
-    radii.append(0.42 - 0.2 * t + 0.06 * np.sin(9 * t))
-    for limb in range(LIMBS):
-        turn = 2 * np.pi * limb / LIMBS
-        side = 1 if limb % 2 else -1
-        # Out from the body, down to the ground or up above it, then a curl that tightens toward the end.
-        bend = turn + side * (1.6 * t**1.5 + 0.5)
-        reach = 0.25 + 0.95 * np.sin(np.pi * np.minimum(t, 0.62) / 1.24) * (1 + 0.18 * np.cos(2.3 * limb))
-        height = 0.5 + (0.95 + 0.25 * np.sin(2.0 * limb)) * t * (1 if limb % 2 else -0.3) + 0.35 * np.sin(np.pi * t)
-        curl = 4.6 * np.clip(t - 0.45, 0, None) / 0.55
-        coil = 0.34 * np.clip(t - 0.45, 0, None) / 0.55 * (1.25 - 0.75 * t)
-        out = reach + coil * np.cos(curl * 1.5) - coil
-        rise = height + coil * np.sin(curl * 1.5)
-        centres.append(np.stack([out * np.cos(bend), rise, out * np.sin(bend)], axis=-1))
-        ridges = 1 + 0.09 * np.sin(2 * np.pi * 13 * t**0.9) * np.clip(4 * t - 0.6, 0, 1)
-        radii.append((0.2 * (1 - t) ** 0.7 + 0.035 + 0.05 * np.exp(-(((t - 1) / 0.035) ** 2))) * ridges)
-    stacked = np.stack(centres)
-    lowest = (stacked[..., 1] - np.stack(radii)).min()
-    stacked[..., 1] -= lowest
-    return torch.from_numpy(stacked), torch.from_numpy(np.stack(radii))
+    body = np.stack([0 * t, 0.1 + 0.85 * t, 0 * t], axis=-1)
+    limbs = [(body, 0.3 + 0.14 * np.sin(np.pi * np.clip(1.25 * t, 0, 1)) - 0.05 * t)]
+    limbs += [
+        _limb(
+            k / LOW,
+            start=(0.3, 0.24),
+            heading=-8,
+            curl=470 + 50 * np.sin(3 * k),
+            length=2.1 + 0.3 * np.sin(2 * k),
+            drift=0.9,
+        )
+        for k in range(LOW)
+    ]
+    limbs += [
+        _limb(
+            (k + 0.5) / HIGH,
+            start=(0.2, 0.85),
+            heading=70,
+            curl=-430 + 60 * np.cos(4 * k),
+            length=1.75 + 0.35 * np.cos(2 * k),
+            drift=-1.3,
+        )
+        for k in range(HIGH)
+    ]
+    centres = np.stack([centre for centre, _ in limbs])
+    radii = np.stack([radius for _, radius in limbs])
+    centres[..., 1] -= (centres[..., 1] - radii).min()
+    return torch.from_numpy(centres), torch.from_numpy(radii)
 
 
-def _field(centres: Float[Tensor, "limbs beads 3"], radii: Float[Tensor, "limbs beads"]):  # noqa: ANN202
-    """Distance to the limbs, blended where they meet, less hollows in the body."""
-    blend = 0.045
-    hollows = torch.tensor([[0.05, 1.35, 0.0, 0.33], [0.25, 0.75, 0.45, 0.2], [-0.4, 0.62, 0.2, 0.17]], dtype=torch.float64)
+def _limb(
+    turn: float, start: tuple[float, float], heading: float, curl: float, length: float, drift: float
+) -> tuple[Float[np.ndarray, "beads 3"], Float[np.ndarray, "beads"]]:
+    """A limb that leaves the axis at `turn` of a circle, tapers, and curls more and more tightly (degrees in all).
+
+    `start` is its distance from the axis and its height; `drift` is how far it winds around the axis, in radians.
+    """
+    t = np.linspace(0, 1, BEADS)
+    angle = np.radians(heading + curl * t**2.6)
+    step = length / BEADS
+    out = start[0] + np.cumsum(np.cos(angle)) * step
+    rise = start[1] + np.cumsum(np.sin(angle)) * step
+    around = 2 * np.pi * turn + drift * t**1.3
+    ridges = 1 + 0.05 * np.sin(2 * np.pi * 22 * t) * np.clip(3 * t - 0.3, 0, 1)
+    radius = (0.19 * (1 - t) ** 0.85 + 0.03) * ridges
+    return np.stack([out * np.cos(around), rise, out * np.sin(around)], axis=-1), radius
+
+
+def _field(centres: Float[Tensor, "limbs beads 3"], radii: Float[Tensor, "limbs beads"]) -> Field:
+    """Distance to the limbs, blended where they meet, less a hollow in the top of the body."""
+    top = float(centres[0, -1, 1])
+    hollows = torch.tensor([[0.0, top + 0.28, 0.0, 0.3], [0.0, top + 0.02, 0.0, 0.16]], dtype=torch.float64)
+    limb = torch.arange(len(centres))
 
     def field(points: Float[Tensor, "P 3"]) -> Float[Tensor, "P"]:
-        balls = centres.to(points.dtype).reshape(-1, 3)
-        sizes = radii.to(points.dtype)
+        balls, sizes = centres.to(points.dtype), radii.to(points.dtype)
+        middles, widths = hollows.to(points.dtype).split([3, 1], dim=1)
         pieces = []
-        for chunk in points.split(16384):
-            gap = torch.cdist(chunk, balls).reshape(len(chunk), *sizes.shape) - sizes
-            solid = -blend * torch.logsumexp(-gap.amin(dim=2) / blend, dim=1)
-            hollow = torch.cdist(chunk, hollows[:, :3].to(points.dtype)) - hollows[:, 3].to(points.dtype)
-            carved = torch.cat([solid[:, None], -hollow], dim=1)
-            pieces.append(blend * torch.logsumexp(carved / blend, dim=1))
+        for chunk in points.split(8192):
+            with torch.no_grad():
+                # Which ball of each limb is nearest does not change over a step: no gradient is needed for it.
+                gap = torch.cdist(chunk, balls.flatten(0, 1)).unflatten(1, sizes.shape).sub_(sizes)
+                nearest = gap.argmin(dim=2)
+            distance = (chunk[:, None] - balls[limb, nearest]).norm(dim=2) - sizes[limb, nearest]
+            solid = -BLEND * torch.logsumexp(-distance / BLEND, dim=1)
+            hollow = (chunk[:, None] - middles).norm(dim=2) - widths[:, 0]
+            pieces.append(BLEND * torch.logsumexp(torch.cat([solid[:, None], -hollow], dim=1) / BLEND, dim=1))
         return torch.cat(pieces)
 
     return field

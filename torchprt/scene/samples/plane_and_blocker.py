@@ -2,13 +2,14 @@
 
 from torchprt.errors import InputError
 
-from ..material import Material
+from ..material import Albedo, Material
 from ..mesh import make_mesh
-from ..scene import Object, Scene
+from ..object import Object
+from ..scene import Scene
 from .grid import grid
 
 
-def plane_and_blocker(resolution: int = 128, albedo: float = 0.5) -> Scene:
+def plane_and_blocker(resolution: int = 128, albedo: Albedo = 0.5) -> Scene:
     """A square plane of `resolution` by `resolution` squares, 4 wide at y = 0, and a black square, 1 wide, above it.
 
     The blocker lies .5 above the middle of the plane. Every point of the plane sees it as one polygon, so its

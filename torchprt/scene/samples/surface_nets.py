@@ -10,12 +10,12 @@ from torch import Tensor
 Field = Callable[[Float[Tensor, "P 3"]], Float[Tensor, "P"]]
 """Signed distance, or less: negative inside, changing by no more than the distance moved."""
 
-BLOCK = 8
+BLOCK = 4
 """Cells along the side of a block that is skipped if the surface cannot reach it."""
 
 
 def surface_nets(
-    field: Field, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], cell: float, relaxations: int = 4
+    field: Field, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], cell: float, relaxations: int = 3
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
     """Positions and faces (counter-clockwise from outside) where `field` is zero within the box.
 
@@ -94,7 +94,9 @@ def _shared_cases() -> np.ndarray:
                 reached += near
         return count
 
-    sides = [([b for b in range(8) if case >> b & 1], [b for b in range(8) if not case >> b & 1]) for case in range(256)]
+    sides = [
+        ([b for b in range(8) if case >> b & 1], [b for b in range(8) if not case >> b & 1]) for case in range(256)
+    ]
     return np.array([pieces(within) > 1 or pieces(without) > 1 for within, without in sides])
 
 
