@@ -12,7 +12,6 @@ from pathlib import Path
 
 import onnx
 import torch
-from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
@@ -101,21 +100,19 @@ def _check_arguments(transfer: DiffuseTransfer, path: Path, source: str, size: i
     total = 4 * (transfer.transfer.numel() + separate + texels * transfer.order**2)
     if total > LIMIT:
         raise InputError(
-            f"the weights are {total / 2**30:.1f} GB, more than the 2 GB that one ONNX file can hold: lower the order or "
-            "split the scene"
+            f"the weights are {total / 2**30:.1f} GB, more than the 2 GB that one ONNX file can hold: "
+            "lower the order or split the scene"
         )
 
 
 def _trace(graph: DiffuseGraph, source: Source, size: int) -> onnx.ModelProto:
     # An example batch of one would be baked in silently.
-    example: Tensor = (
-        torch.zeros(2, 6, size, size, 3) if source == "environment" else torch.zeros(2, graph.coefficients, 3)
-    )
+    entry = (6, size, size, 3) if source == "environment" else (graph.coefficients, 3)
     batch = torch.export.Dim("B")
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
             graph.eval(),
-            (example, torch.eye(3).repeat(2, 1, 1)),
+            (torch.zeros(2, *entry), torch.eye(3).repeat(2, 1, 1)),
             dynamo=True,
             verbose=False,
             opset_version=OPSET,

@@ -88,7 +88,9 @@ def compare(
     inputs, rotations = _cases(module, order, seed)
     reference = copy.deepcopy(module).double().eval()
     with torch.no_grad():
-        wanted = [reference(one[None].double(), turn[None].double())[0] for one, turn in zip(inputs, rotations)]
+        # One at a time: every light is as large as the scene in float64.
+        pairs = zip(inputs.double().split(1), rotations.double().split(1), strict=True)
+        wanted = [reference(one, turn)[0] for one, turn in pairs]
     rms = largest = 0.0
     for batch in batches:
         for start in range(0, len(inputs), batch):
@@ -96,7 +98,7 @@ def compare(
             chosen = [index % len(inputs) for index in range(start, start + batch)]
             feed = {source: inputs[chosen].numpy(), "rotation": rotations[chosen].numpy()}
             found = torch.from_numpy(session.run(["radiance"], feed)[0])
-            for radiance, index in zip(found, chosen):
+            for radiance, index in zip(found, chosen, strict=True):
                 difference = radiance.double() - wanted[index]
                 rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
                 largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))

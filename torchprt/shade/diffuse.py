@@ -47,7 +47,7 @@ class DiffuseShader(nn.Module):
                 self.register_parameter(name, nn.Parameter(value.clone()))
             else:
                 self.register_buffer(name, value)
-        self.turn = Rotation(transfer.order).to(dtype)
+        self.turn = Rotation(transfer.order, dtype).to(transfer.transfer.device)
         self.order = transfer.order
 
     def extra_repr(self) -> str:

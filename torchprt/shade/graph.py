@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from torchprt.errors import InputError
-from torchprt.sh import cube_basis, project_cube
+from torchprt.sh import cube_basis
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.display import ToneMap, display
 
@@ -29,7 +30,8 @@ class EnvironmentShader(nn.Module):
         self.size = size
         self.exposure = exposure
         self.tone: ToneMap | None = tone
-        self.register_buffer("weights", cube_basis(shader.order, size).to(shader.transfer), persistent=False)
+        table = cube_basis(shader.order, size, dtype=shader.transfer.dtype).to(shader.transfer.device)
+        self.register_buffer("weights", table, persistent=False)
 
     def forward(
         self, environment: Float[Tensor, "*B 6 H W 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
@@ -40,6 +42,8 @@ class EnvironmentShader(nn.Module):
                 f"environment has faces of {tuple(environment.shape[-3:-1])} texels but the graph was made for "
                 f"{self.size} x {self.size}: resize it or make another graph"
             )
-        light = project_cube(environment, self.shader.order, basis=self.weights)
+        # `sh.project_cube` with the table in a buffer, so that the graph can be compiled and exported.
+        texels = environment.movedim(-1, -4).reshape(*environment.shape[:-4], 3, 6 * self.size**2)
+        light = linear(texels, self.weights).mT
         radiance = self.shader(light, rotation)
         return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)

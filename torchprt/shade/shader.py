@@ -8,9 +8,7 @@ from torchprt.shade.diffuse import DiffuseShader
 from torchprt.transfer import DiffuseTransfer
 
 
-def shader(
-    transfer: DiffuseTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> DiffuseShader:
+def shader(transfer: DiffuseTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()) -> DiffuseShader:
     """The `nn.Module` that shades `transfer`.
 
     `dtype`: of its buffers (float32, or wider if the transfer is); `learn`: names of buffers that become
