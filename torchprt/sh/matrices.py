@@ -14,7 +14,7 @@ _LAST_FLOAT32_ORDER = 20
 
 
 def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float[Tensor, "*B rows columns"], ...]:
-    """The matrix D_l(R) of every band l < `order`, each `[*B, 2l + 1, 2l + 1]`, with y_l(R s) = D_l(R) y_l(s).
+    """The matrix D_l(R) of every band l < `order`, `[*B, 2l + 1, 2l + 1]`: y_l(R s) = D_l(R) y_l(s).
 
     Laws: D(A B) = D(A) D(B), D(R^T) = D(R)^T. Polynomial in the nine numbers of `rotation`, so there is no
     gimbal case and gradients are right everywhere, the identity included. float32 input above order 20 is
@@ -45,7 +45,7 @@ def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float
 
 
 def rotation_matrix(rotation: Float[Tensor, "*B 3 3"], order: int) -> Float[Tensor, "*B N N"]:
-    """All bands of `rotation_bands` in one block-diagonal matrix: `rotation_matrix(R, n) @ light` turns a light.
+    """All bands of `rotation_bands` in one block-diagonal matrix: `D @ light` turns a light.
 
     `rotate` does the same many times faster; this is for when the matrix itself is wanted.
     Raises InputError if `order` is below 1. `rotation` is not checked (see `check_rotation`).
@@ -61,7 +61,7 @@ def _coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
 
 
 def _build_coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, tuple[Tensor, float]]:
-    """int y_lm s_j y_(l-1)k as a matrix [2l + 1, 3 (2l - 1)], and the factors that divide its columns out again.
+    """int y_lm s_j y_(l-1)k as a matrix [2l + 1, 3 (2l - 1)], and what divides it out again.
 
     z y_(l-1)m = a y_lm + ..., and (x + iy) times the outermost y_(l-1) is 1 / outer times the outermost y_l.
     """

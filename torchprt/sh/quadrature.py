@@ -12,6 +12,7 @@ from torchprt.errors import InputError
 
 # The degrees for which Lebedev and Laikov (1999) published rules with the symmetry of the octahedron.
 _LEBEDEV_DEGREES = (*range(3, 32, 2), *range(35, 132, 6))
+LARGEST_LEBEDEV_DEGREE = _LEBEDEV_DEGREES[-1]
 
 
 def gauss_legendre(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
@@ -33,7 +34,7 @@ def lebedev(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tens
     Weights sum to 4 pi; those of degree 13, 25 and 27 are not all positive.
     Raises InputError if `degree` is negative or above 131.
     """
-    if not 0 <= degree <= _LEBEDEV_DEGREES[-1]:
+    if not 0 <= degree <= LARGEST_LEBEDEV_DEGREE:
         raise InputError(
             f"Lebedev rules exist for degrees 0 to 131, not {degree}: use gauss_legendre, which has no limit"
         )

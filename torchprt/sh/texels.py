@@ -19,7 +19,7 @@ from torchprt.sh.matrices import rotation_matrix
 Weights = Literal["normalised", "paper", "exact"]
 
 # Numbers in a table that is kept between calls; larger ones are made and used a piece at a time.
-_LARGEST_TABLE = 1 << 25
+_LARGEST_TABLE, _PIECE = 1 << 24, 1 << 21
 
 
 def cube_directions(size: int, dtype: torch.dtype = torch.float64) -> Float[Tensor, "6 H W 3"]:
@@ -95,7 +95,7 @@ def project_cube(
 ) -> Float[Tensor, "*B N C"]:
     """SH coefficients of cube maps: one matrix product with a table that is kept between calls.
 
-    Faces so large that the table would exceed 2^25 numbers are projected one at a time, without keeping it.
+    Faces so large that the table would exceed 2^24 numbers are projected a few rows at a time, without keeping it.
     Differentiable in `cube`. See `cube_weights` for the three kinds of `weights`.
     Raises InputError if the faces are not square.
     Source: Sloan, Kautz and Snyder 2002, section 6.2.
@@ -108,9 +108,10 @@ def project_cube(
         table = _cube_table(order, size, weights, cube.dtype, cube.device)
         flat = linear(planes.reshape(-1, 6 * size * size), table)
     else:
-        directions, area = cube_directions(size), cube_weights(size, weights)
+        directions = cube_directions(size, cube.dtype)
+        area = cube_weights(size, weights, cube.dtype)
         flat = cube.new_zeros(math.prod(batch) * channels, order * order)
-        rows = max(1, _LARGEST_TABLE // (order * order * size * 6))
+        rows = max(1, _PIECE // (order * order * size * 6))
         for start in range(0, size, rows):
             some = (slice(None), slice(start, start + rows))
             table = _weighted(directions[some].reshape(-1, 3), area[some].reshape(-1), order, cube.dtype)
