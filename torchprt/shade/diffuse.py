@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import torch
@@ -56,11 +57,11 @@ class DiffuseShader(nn.Module):
 
     def forward(
         self,
-        light: Float[Tensor, "*B N 3"],
+        light: Float[Tensor, "*#B N 3"],
         rotation: Float[Tensor, "*#B 3 3"] | None = None,
         *,
         out: Tensor | None = None,
-    ) -> Float[Tensor, "*B V 3"]:
+    ) -> Float[Tensor, "... V 3"]:
         """Linear exit radiance of every receiver under every light.
 
         `light [..., N, 3]`; `rotation [..., 3, 3]` turns the environment (identity if omitted), its batch
@@ -89,19 +90,22 @@ class DiffuseShader(nn.Module):
         """`[*B, 3, N]` to `[*B, 3, V]` as one matrix product (one a channel if the transfer is coloured)."""
         channels, count, vertices = self.transfer.shape
         batch = light.shape[:-2]
-        if out is not None:
-            out = out.movedim(-1, -2)
-            if out.shape != (*batch, 3, vertices) or not out.is_contiguous():
-                raise InputError(
-                    f"out must be a former result for {tuple(batch)} lights and {vertices} vertices: "
-                    f"it has shape {tuple(out.movedim(-1, -2).shape)}"
-                )
         if channels == 1:
-            target = None if out is None else out.view(-1, vertices)
-            product = torch.mm(light.reshape(-1, count), self.transfer[0], out=target)
-            return product.view(*batch, 3, vertices)
-        # Every channel has its own transfer. One light needs no transposition in memory, many are worth one.
-        lights = light.movedim(-2, 0).reshape(3, -1, count)
-        product = torch.bmm(lights, self.transfer)
-        product = product.view(3, *batch, vertices).movedim(0, -2)
-        return product if out is None else out.copy_(product)
+            target = None if out is None else self._target(out, out.movedim(-1, -2), (*batch, 3, vertices))
+            flat = light.reshape(math.prod(batch) * 3, count)
+            return torch.mm(flat, self.transfer[0], out=target).view(*batch, 3, vertices)
+        # Every channel has its own transfer: channels come first, in the light and in the memory of the result.
+        target = None if out is None else self._target(out, out.movedim(-1, 0), (3, *batch, vertices))
+        if target is not None:
+            target = target.view(3, math.prod(batch), vertices)
+        flat = light.movedim(-2, 0).reshape(3, math.prod(batch), count)
+        return torch.bmm(flat, self.transfer, out=target).view(3, *batch, vertices).movedim(0, -2)
+
+    def _target(self, out: Tensor, memory: Tensor, shape: tuple[int, ...]) -> Tensor:
+        """`memory`, the view of `out` that is contiguous, as rows of vertices; InputError if it is not."""
+        if memory.shape != shape or not memory.is_contiguous():
+            raise InputError(
+                f"out must be a former result for this batch of lights and {shape[-1]} vertices: "
+                f"it has shape {tuple(out.shape)} and strides {out.stride()}"
+            )
+        return memory.view(math.prod(shape[:-1]), shape[-1])

@@ -14,7 +14,7 @@ ToneMap = Literal["none", "filmic"]
 
 
 def filmic(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
-    """Filmic tone curve from [0, inf) to [0, 1): soft toe and shoulder, mid grey .18 maps near .27 before sRGB.
+    """Filmic tone curve from [0, inf) to [0, 1]: soft toe and shoulder, mid grey .18 maps near .27 before sRGB.
 
     Negative radiance (ringing of a truncated light) maps to 0.
     Source: Narkowicz 2015, a fit of the ACES reference transform.

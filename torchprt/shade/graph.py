@@ -34,8 +34,8 @@ class EnvironmentShader(nn.Module):
         self.register_buffer("weights", table, persistent=False)
 
     def forward(
-        self, environment: Float[Tensor, "*B 6 H W 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
-    ) -> Float[Tensor, "*B V 3"]:
+        self, environment: Float[Tensor, "*#B 6 H W 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
+    ) -> Float[Tensor, "... V 3"]:
         """Radiance `[..., V, 3]`. Raises InputError if the cube map is not of the stated size."""
         if environment.shape[-3:-1] != (self.size, self.size):
             raise InputError(

@@ -1,0 +1,75 @@
+"""Is the graph from cube map to picture the same as its parts one after another?"""
+
+import pytest
+import torch
+
+from torchprt.errors import InputError
+from torchprt.sh import cube_directions, evaluate, project_cube, yaw_pitch_roll
+from torchprt.shade import EnvironmentShader, display, shader
+
+
+def cubes(*batch, size=8, dtype=torch.float32):
+    return torch.rand(*batch, 6, size, size, 3, generator=torch.Generator().manual_seed(1), dtype=dtype)
+
+
+@pytest.mark.parametrize("size", [1, 0, -3])
+def test_refuses_cube_maps_without_texels(make_transfer, size):
+    with pytest.raises(InputError, match=f"size {size} of the cube map is too small"):
+        EnvironmentShader(shader(make_transfer()), size)
+
+
+def test_refuses_a_cube_map_of_another_size(make_transfer):
+    graph = EnvironmentShader(shader(make_transfer()), 8)
+    with pytest.raises(InputError, match=r"faces of \(4, 4\) texels but the graph was made for 8 x 8"):
+        graph(cubes(size=4))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("batch", [(), (1,), (3,), (2, 2), (0,)])
+def test_is_projection_then_shading(make_transfer, channels, batch):
+    module = shader(make_transfer(channels=channels))
+    environment = cubes(*batch)
+    wanted = module(project_cube(environment, 4))
+    found = EnvironmentShader(module, 8)(environment)
+    assert found.shape == (*batch, 25, 3)
+    # The same sums over 384 texels, perhaps in another order.
+    assert torch.allclose(
+        found,
+        wanted,
+        rtol=0,
+        atol=32 * torch.finfo(torch.float32).eps * float(wanted.abs().amax()) if wanted.numel() else 0,
+    )
+
+
+def test_turns_the_environment(make_transfer):
+    module = shader(make_transfer())
+    environment = cubes(2)
+    rotation = yaw_pitch_roll(torch.tensor([[0.0, 0.0, 0.0], [10.0, 120.0, 33.0]]))
+    found = EnvironmentShader(module, 8)(environment, rotation)
+    wanted = module(project_cube(environment, 4), rotation)
+    assert torch.allclose(found, wanted, rtol=0, atol=32 * torch.finfo(torch.float32).eps * float(wanted.abs().max()))
+
+
+def test_a_band_limited_environment_shades_as_its_coefficients(make_transfer):
+    light = torch.randn(9, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    module = shader(make_transfer(order=3), dtype=torch.float64)
+    environment = evaluate(light, cube_directions(64).reshape(-1, 3)).reshape(6, 64, 64, 3)
+    # The cube-map rule errs by about half a per cent at 8 x 8 and falls nearly as size^-4.
+    found, wanted = EnvironmentShader(module, 64)(environment), module(light)
+    assert (found - wanted).abs().max() <= 1e-5 * wanted.abs().max()
+
+
+def test_with_a_tone_map_it_gives_a_picture(make_transfer):
+    module = shader(make_transfer())
+    environment = cubes(2)
+    picture = EnvironmentShader(module, 8, exposure=1.5, tone="filmic")(environment)
+    linear = EnvironmentShader(module, 8)(environment)
+    assert torch.equal(picture, display(linear, exposure=1.5))
+    assert 0 <= picture.min() < picture.max() <= 1
+
+
+def test_gradients_reach_the_environment_and_the_rotation(make_transfer):
+    graph = EnvironmentShader(shader(make_transfer(side=2, order=2, dtype=torch.float64)), 2)
+    environment = cubes(1, size=2, dtype=torch.float64).requires_grad_()
+    rotation = torch.eye(3, dtype=torch.float64)[None].clone().requires_grad_()
+    assert torch.autograd.gradcheck(graph, (environment, rotation))
