@@ -34,8 +34,8 @@ class Mesh:
 def make_mesh(
     positions: Shaped[Array, "V 3"],
     faces: Shaped[Array, "F 3"],
-    normals: Shaped[Array, "V 3"] | None = None,
-    colours: Shaped[Array, "V 3"] | None = None,
+    normals: Shaped[Array, "given 3"] | None = None,
+    colours: Shaped[Array, "painted 3"] | None = None,
     name: str | os.PathLike[str] = "mesh",
 ) -> Mesh:
     """A mesh of given triangles (numpy arrays or tensors of any real dtype), checked.
@@ -93,13 +93,13 @@ def _refuse(positions: Float[np.ndarray, "V 3"], faces: Shaped[np.ndarray, "F 3"
     bad = ~np.isfinite(positions).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{name} has {bad.sum()} vertices that are not finite, the first is vertex {bad.argmax()}: "
+            f"{name} has vertices that are not finite ({bad.sum()} in all), the first is vertex {bad.argmax()}: "
             "remove them or export the mesh again"
         )
     outside = ((faces < 0) | (faces >= len(positions))).any(axis=1)
     if outside.any():
         raise InputError(
-            f"{name} has {outside.sum()} faces that name a vertex that does not exist, the first is face "
+            f"{name} has faces that name a vertex that does not exist ({outside.sum()} in all), the first is face "
             f"{outside.argmax()} {tuple(faces[outside.argmax()].tolist())} of {len(positions)} vertices: "
             "export the mesh again"
         )

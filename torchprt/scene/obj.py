@@ -38,7 +38,7 @@ def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.nda
                 polygon = [_corner(word, len(vertices), len(normals)) for word in words[1:]]
                 if len(polygon) < 3:
                     raise ValueError("has a face of fewer than three corners")
-                for second, third in itertools.pairwise(polygon):
+                for second, third in itertools.pairwise(polygon[1:]):
                     corners += (polygon[0], second, third)
         except ValueError as fault:
             raise InputError(f"{source} line {number} {fault}: export the mesh again") from fault

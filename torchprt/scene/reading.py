@@ -89,6 +89,8 @@ def _join(pieces: list[Raw]) -> Raw:
     """All pieces as one; normals or colours that only some pieces have are marked as missing in the others."""
     if not pieces:
         return Raw(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    if len(pieces) == 1:
+        return pieces[0]
     starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
     normals = None
     if any(piece.normals is not None for piece in pieces):

@@ -27,7 +27,7 @@ def grid(
 
 
 def join(
-    *parts: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]],
+    *parts: tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]],
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
     """Several sheets as one."""
     starts = np.cumsum([0] + [len(positions) for positions, _ in parts[:-1]])

@@ -64,7 +64,7 @@ def _limbs() -> tuple[Float[Tensor, "limbs beads 3"], Float[Tensor, "limbs beads
         _limb(
             k / LOW,
             start=(0.3, 0.24),
-            heading=-8,
+            heading=-8.0,
             curl=470 + 50 * np.sin(3 * k),
             length=2.1 + 0.3 * np.sin(2 * k),
             drift=0.9,
@@ -75,7 +75,7 @@ def _limbs() -> tuple[Float[Tensor, "limbs beads 3"], Float[Tensor, "limbs beads
         _limb(
             (k + 0.5) / HIGH,
             start=(0.2, 0.85),
-            heading=70,
+            heading=70.0,
             curl=-430 + 60 * np.cos(4 * k),
             length=1.75 + 0.35 * np.cos(2 * k),
             drift=-1.3,

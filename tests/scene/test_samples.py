@@ -1,0 +1,95 @@
+"""Are the samples the scenes that they say they are?"""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from torchprt.errors import InputError
+from torchprt.scene.samples import coloured_box, organic, plane_and_blocker
+from torchprt.scene.samples.surface_nets import surface_nets
+
+
+@pytest.mark.parametrize("make", [lambda: organic(4999), lambda: plane_and_blocker(0), lambda: coloured_box(3)])
+def test_refuses_too_little_detail(make):
+    with pytest.raises(InputError, match="give at least"):
+        make()
+
+
+@pytest.fixture(scope="module")
+def sculpture():
+    return organic(8000).objects[0].mesh
+
+
+def test_the_sculpture_is_closed_and_stands_on_the_ground(sculpture):
+    report = sculpture.report
+    assert report.watertight
+    assert report.components == 1
+    assert report.degenerate_faces == report.missing_normals == report.duplicate_vertices == 0
+    assert abs(report.vertices - 8000) <= 160
+    assert abs(sculpture.positions[:, 1].min()) < 0.05
+
+
+def test_the_sculpture_shows_its_outside(sculpture):
+    corners = sculpture.positions[sculpture.faces]
+    volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume > 0
+
+
+def test_the_sculpture_has_well_shaped_triangles(sculpture):
+    peer = trimesh.Trimesh(sculpture.positions.numpy(), sculpture.faces.numpy(), process=False)
+    assert np.degrees(np.median(peer.face_angles.min(axis=1))) > 35
+
+
+def test_the_sculpture_is_the_same_every_time(sculpture):
+    assert torch.equal(organic(8000).objects[0].mesh.positions, sculpture.positions)
+
+
+def test_the_blocker_stands_above_a_plane_that_faces_it():
+    plane, blocker = plane_and_blocker(16).objects
+    assert (plane.role, blocker.role) == ("receiver", "blocker")
+    assert torch.equal(plane.mesh.normals, torch.tensor([[0.0, 1, 0]], dtype=torch.float64).expand(17 * 17, 3))
+    assert (blocker.mesh.positions[:, 1] > plane.mesh.positions[:, 1].max()).all()
+    assert len(blocker.mesh.faces) == 2
+
+
+def test_the_box_has_its_red_wall_to_the_left_and_faces_inward():
+    scene = coloured_box(8)
+    named = {each.mesh.name: each for each in scene.objects}
+    red, green = named["red wall"], named["green wall"]
+    assert (red.mesh.positions[:, 0] == -1).all()
+    assert (green.mesh.positions[:, 0] == 1).all()
+    assert red.albedo[0].argmax() == 0
+    assert green.albedo[0].argmax() == 1
+    for wall in (red, green, named["room"]):
+        centres = wall.mesh.positions[wall.mesh.faces].mean(dim=1)
+        corners = wall.mesh.positions[wall.mesh.faces]
+        facing = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert ((facing * centres).sum(dim=1) < 0).all()
+    assert scene.requires(1).channels == 3
+    inside = torch.cat([named[name].mesh.positions for name in ("block", "sphere")])
+    assert inside.abs().max() <= 1
+
+
+def test_nets_around_a_ball_lie_on_it_and_close():
+    positions, faces = surface_nets(lambda p: p.norm(dim=1) - 1, np.full(3, -1.3), np.full(3, 1.3), 0.1)
+    # Points are moved in float32.
+    assert np.abs(np.linalg.norm(positions, axis=1) - 1).max() < 1e-5
+    peer = trimesh.Trimesh(positions, faces, process=False)
+    assert peer.is_watertight
+    assert peer.euler_number == 2
+    # Triangles lie inside the ball by about the square of their size.
+    assert peer.volume == pytest.approx(4 / 3 * np.pi, rel=0.01)
+
+
+def test_nets_stay_manifold_where_sheets_meet_in_one_cell():
+    def balls(points):
+        first = (points - torch.tensor([0.52, 0.5, 0.47])).norm(dim=1) - 0.9
+        return torch.minimum(first, (points + torch.tensor([0.5, 0.53, 0.5])).norm(dim=1) - 0.84)
+
+    counts = []
+    for cell in (0.31, 0.2, 0.17, 0.11):
+        _, faces = surface_nets(balls, np.full(3, -1.7), np.full(3, 1.7), cell, relaxations=0)
+        sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        counts += np.unique(sides, axis=0, return_counts=True)[1].tolist()
+    assert set(counts) == {2}
