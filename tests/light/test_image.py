@@ -184,9 +184,7 @@ def test_refuses_an_exr_that_would_be_read_wrongly(tmp_path, pixels):
 
 @pytest.mark.parametrize("kind", ["scan lines", "tiles"])
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
-@pytest.mark.parametrize(
-    "names", ["RGB", "RGBA", "R G B", "b g r a", "Combined.R Combined.G Combined.B depth.Z"]
-)
+@pytest.mark.parametrize("names", ["RGB", "RGBA", "R G B", "b g r a", "Combined.R Combined.G Combined.B depth.Z"])
 def test_reads_back_every_exr_exactly(tmp_path, pixels, kind, dtype, names):
     stored = pixels.astype(dtype)
     alpha = np.full_like(stored[..., :1], 0.5)
@@ -216,9 +214,7 @@ def test_reads_back_every_coding_of_a_radiance_picture(tmp_path, coding, width):
     if coding is new_runs and width < 8:
         pytest.skip("new runs need at least eight pixels in a line")
     random = np.random.default_rng(width)
-    pixels = random.uniform(0, 1, (6, width, 3)).astype(np.float32) * np.float32(10.0) ** random.integers(
-        -6, 6
-    )
+    pixels = random.uniform(0, 1, (6, width, 3)).astype(np.float32) * np.float32(10.0) ** random.integers(-6, 6)
     pixels[2:4] = pixels[2, 0]  # a run longer than 255, across scan lines
     pixels[5] = 0
     quads = quads_of(pixels)
@@ -274,9 +270,7 @@ def test_decodes_srgb_of_8_and_16_bits(tmp_path):
 def test_negative_values_become_zero_and_are_told(tmp_path, pixels):
     pixels[3, 4] = [-1, 2, -5]
     path = write_exr(tmp_path / "negative.exr", {"RGB": pixels})
-    with pytest.warns(
-        DamagedImageWarning, match=r"negative\.exr: 2 values are negative, down to -5: .* set to 0"
-    ):
+    with pytest.warns(DamagedImageWarning, match=r"negative\.exr: 2 values are negative, down to -5: .* set to 0"):
         image = read(path)
     assert np.array_equal(image.numpy(), np.maximum(pixels, 0))
 

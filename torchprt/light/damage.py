@@ -112,9 +112,7 @@ def _dead(image: Float[Tensor, "H W 3"]) -> Bool[Tensor, "P 3"]:
     return lamp[:, None] & (pixels < DEAD * brightest[:, None])
 
 
-def mend(
-    image: Float[Tensor, "H W 3"], name: str, repair: bool
-) -> tuple[Float[Tensor, "H W 3"], ImageReport]:
+def mend(image: Float[Tensor, "H W 3"], name: str, repair: bool) -> tuple[Float[Tensor, "H W 3"], ImageReport]:
     """`image` with negative values set to 0 and, with `repair`, those not finite replaced; the report.
 
     A value that is not finite becomes the median of the finite ones among its eight neighbours in its channel
