@@ -96,8 +96,16 @@ def test_refuses_a_face_that_names_no_vertex(write, index):
 
 @pytest.mark.parametrize(
     ("line", "word"),
-    [("f 1 2 4", "vertex 4 of 3"), ("f 1 2 0", "index 0"), ("f -1 -2 -4", "index -4"), ("f 1 2", "three corners")]
-    + [("f 1 2 x", "'x'"), ("v 1 2", "2 numbers"), ("v a b c", "not a number"), ("f 1//1 2//1 3//1", "normal 1 of 0")],
+    [
+        ("f 1 2 4", "vertex 4 of 3"),
+        ("f 1 2 0", "index 0"),
+        ("f -1 -2 -4", "index -4"),
+        ("f 1 2", "three corners"),
+        ("f 1 2 x", "'x'"),
+        ("v 1 2", "2 numbers"),
+        ("v a b c", "not a number"),
+        ("f 1//1 2//1 3//1", "normal 1 of 0"),
+    ],
 )
 def test_refuses_a_faulty_obj_line(write, line, word):
     refused(write("a.obj", f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n{line}\n"), word)

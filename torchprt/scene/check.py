@@ -121,12 +121,12 @@ def degenerate(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"
     """Which faces have no area, judged by their height beside their longest side."""
     corners = positions[faces]
     sides = np.roll(corners, -1, axis=1) - corners
-    size = np.abs(sides).max(axis=(1, 2))
+    size = np.abs(sides).reshape(-1, 9).max(axis=1)
     sides = sides / np.where(size > 0, size, 1.0)[:, None, None]
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     # The height cannot be known better than the coordinates are.
-    rounding = 4 * np.finfo(np.float64).eps * np.abs(corners).max(axis=(1, 2)) / np.where(size > 0, size, 1.0)
+    rounding = 4 * np.finfo(np.float64).eps * np.abs(corners).reshape(-1, 9).max(axis=1) / np.where(size > 0, size, 1.0)
     return twice_area <= np.maximum(FLAT * longest, rounding) * longest
 
 

@@ -28,11 +28,17 @@ def face_normals(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 
 def unit(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
     """Vectors at unit length; zero where a vector is zero or not finite."""
     finite = np.isfinite(vectors).all(axis=1)
-    largest = np.abs(np.where(finite[:, None], vectors, 0.0)).max(axis=1, initial=0.0)
+    x, y, z = np.abs(np.where(finite[:, None], vectors, 0.0)).T
+    largest = np.maximum(np.maximum(x, y), z)
     usable = largest > 0
     scaled = np.where(usable[:, None], vectors, 0.0) / np.where(usable, largest, 1.0)[:, None]
-    length = np.linalg.norm(scaled, axis=1)
+    length = _length(scaled)
     return scaled / np.where(usable, length, 1.0)[:, None]
+
+
+def _length(vectors: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows"]:
+    # Half the time of numpy's norm on short rows; the callers keep squares in range.
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def corner_angles(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
@@ -41,7 +47,7 @@ def corner_angles(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F
     ahead = np.stack([unit(corners[:, (j + 1) % 3] - corners[:, j]) for j in range(3)], axis=1)
     back = -np.roll(ahead, 1, axis=1)
     # The arc tangent of both lengths is exact for slivers, where the arc cosine is not (Kahan).
-    return 2 * np.arctan2(np.linalg.norm(ahead - back, axis=2), np.linalg.norm(ahead + back, axis=2))
+    return 2 * np.arctan2(_length(ahead - back), _length(ahead + back))
 
 
 def vertex_normals(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
@@ -53,6 +59,8 @@ def vertex_normals(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "
     A vertex gets zero if no face names it, or if its faces have no area or cancel each other.
     Source: Thürmer and Wüthrich 1998, "Computing vertex normals from polygonal facets".
     """
+    if not len(faces):
+        return np.zeros_like(positions)
     normals = face_normals(positions, faces)
     # A face without area has no direction to give.
     weights = corner_angles(positions, faces) * np.any(normals != 0, axis=1)[:, None]
@@ -61,7 +69,7 @@ def vertex_normals(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "
     flat = weights.ravel()
     total = np.stack([np.bincount(patch, flat * np.repeat(normals[:, k], 3), patches) for k in range(3)], axis=1)
     weight = np.bincount(patch, flat, patches)
-    usable = np.linalg.norm(total, axis=1) > CANCELLED * weight
+    usable = _length(total) > CANCELLED * weight
     smooth = unit(np.where(usable[:, None], total, 0.0))
     result = np.zeros_like(positions)
     result[faces.ravel()] = smooth[patch]
