@@ -17,7 +17,7 @@ _DENSITY, _VALLEYS, _STEPS, _SHRINK = 64, 8, 12, 0.4
 _BISECTIONS = 30
 
 
-def hann(order: int, width: float | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
+def hann(order: int, width: float | int | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
     """(1 + cos(pi l / width)) / 2 up to band `width` (by default `order`), zero from there on.
 
     Raises InputError if `order` is below 1 or `width` is not positive.
@@ -27,7 +27,7 @@ def hann(order: int, width: float | None = None, dtype: torch.dtype = torch.floa
     return torch.where(l < width, (1 + torch.cos(math.pi * l / width)) / 2, 0.0)
 
 
-def lanczos(order: int, width: float | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
+def lanczos(order: int, width: float | int | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
     """sin(pi l / width) / (pi l / width) up to band `width` (by default `order`), zero from there on.
 
     Raises InputError if `order` is below 1 or `width` is not positive.
@@ -37,7 +37,7 @@ def lanczos(order: int, width: float | None = None, dtype: torch.dtype = torch.f
     return torch.where(l < width, torch.sinc(l / width), 0.0)
 
 
-def gauss(order: int, width: float | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
+def gauss(order: int, width: float | int | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
     """exp(-pi^2 l (l + 1) / (2 width^2)), the Gaussian of the sphere; `width` is by default `order`.
 
     A positive kernel (heat diffused for a time): a wider-spread one never lowers the least value of a light.
@@ -136,7 +136,7 @@ def _search_set(order: int) -> tuple[Tensor, Tensor, Tensor]:
     return directions, basis(directions, order).contiguous(), torch.from_numpy(neighbours[:, 1:].copy())
 
 
-def _bands_and_width(order: int, width: float | None, dtype: torch.dtype) -> tuple[Tensor, float]:
+def _bands_and_width(order: int, width: float | int | None, dtype: torch.dtype) -> tuple[Tensor, float]:
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
     width = float(order) if width is None else float(width)

@@ -33,7 +33,9 @@ def clamped_cosine(order: int, dtype: torch.dtype = torch.float64) -> Float[Tens
     return torch.tensor(factors, dtype=dtype)
 
 
-def phong(exponent: float | Float[Tensor, "*B"], order: int, dtype: torch.dtype | None = None) -> Float[Tensor, "*B n"]:
+def phong(
+    exponent: float | int | Float[Tensor, "*B"], order: int, dtype: torch.dtype | None = None
+) -> Float[Tensor, "*B n"]:
     """A_l of the normalised lobe (k + 1) / 2 pi max(z, 0)^k for an `exponent` k from 0 (half sphere) upward.
 
     A product, without cancellation at any k: A_0 = 1, and all A_l tend to 1 (a mirror) as k grows. Gradients
@@ -55,7 +57,7 @@ def phong(exponent: float | Float[Tensor, "*B"], order: int, dtype: torch.dtype 
 
 
 def disc(
-    half_angle: float | Float[Tensor, "*B"], order: int, dtype: torch.dtype | None = None
+    half_angle: float | int | Float[Tensor, "*B"], order: int, dtype: torch.dtype | None = None
 ) -> Float[Tensor, "*B n"]:
     """A_l of the indicator of a spherical cap of `half_angle` radians, from 0 to pi.
 
