@@ -34,7 +34,7 @@ class ErrorReport:
         return f"relative RMS {self.relative_rms:.3g}, largest {self.max_error:.3g}, worst vertex {worst:.3g}"
 
 
-def relative_rms(value: Float[Tensor, "*S"], reference: Float[Tensor, "*S"]) -> float:
+def relative_rms(value: Float[Tensor, "..."], reference: Float[Tensor, "..."]) -> float:
     """RMS of the difference over all elements, relative to the RMS of `reference`.
 
     Computed in float64 whatever the inputs are, after division by the largest value, so that 1e-30 and 1e30 are
@@ -46,14 +46,14 @@ def relative_rms(value: Float[Tensor, "*S"], reference: Float[Tensor, "*S"]) -> 
     return float(difference.square().mean().sqrt() / scale)
 
 
-def max_error(value: Float[Tensor, "*S"], reference: Float[Tensor, "*S"]) -> float:
+def max_error(value: Float[Tensor, "..."], reference: Float[Tensor, "..."]) -> float:
     """Largest difference, relative to the largest magnitude in `reference`. Raises as `relative_rms`."""
     difference, _ = _compared(value, reference)
     # _compared has divided both by the largest magnitude.
     return float(difference.abs().max())
 
 
-def psnr(image: Float[Tensor, "*S"], reference: Float[Tensor, "*S"], peak: float = 1.0) -> float:
+def psnr(image: Float[Tensor, "..."], reference: Float[Tensor, "..."], peak: float = 1.0) -> float:
     """Peak signal-to-noise ratio in decibels, `10 log10(peak^2 / mean squared error)`; infinite if they are equal.
 
     For pictures that are shown, with values in [0, peak]. Raises InputError if the shapes differ, there is no

@@ -99,6 +99,6 @@ def _text(name: str, record: Mapping[str, Any]) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
+def _scaled(value: float | int, units: tuple[tuple[float, str], ...]) -> str:
     factor, unit = next(((factor, unit) for factor, unit in units if abs(value) >= factor), units[-1])
     return f"{value / factor:.4g} {unit}"

@@ -1,0 +1,130 @@
+"""How fast is shading? Ratios measured side by side on one thread, with the error beside the time.
+
+    python scripts/benchmarks/shade.py
+
+50 000 vertices, order 5, one transfer channel. Every target is a ratio within this run: a machine's own stream rate,
+its own matrix product, the plain product of the textbook, ONNX Runtime.
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import rich
+import torch
+
+from torchprt.measure import Table, relative_rms, time_it
+from torchprt.onnx import export
+from torchprt.sh import bands
+from torchprt.shade import shader
+from torchprt.transfer import DiffuseTransfer
+
+VERTICES, ORDER, MANY = 50_000, 5, 256
+
+
+def random_transfer(vertices: int = VERTICES, order: int = ORDER) -> DiffuseTransfer:
+    generator = torch.Generator().manual_seed(0)
+    vectors = torch.randn(1, order**2, vertices, generator=generator) / (1 + bands(order)[:, None]) ** 2
+    return DiffuseTransfer(
+        transfer=vectors,
+        albedo=torch.full((1, 1), 0.5),
+        positions=torch.zeros(vertices, 3),
+        normals=torch.zeros(vertices, 3),
+        faces=torch.zeros(0, 3, dtype=torch.int64),
+    )
+
+
+def run(rounds: int = 15) -> None:
+    """Prints the timings and, below them, every ratio with its target."""
+    torch.set_num_threads(1)
+    transfer = random_transfer()
+    module = shader(transfer)
+    generator = torch.Generator().manual_seed(1)
+    one, many = (torch.randn(count, ORDER**2, 3, generator=generator) for count in (1, MANY))
+    out_one, out_many = module(one), module(many)
+    by_vertex = transfer.transfer[0].T.contiguous()
+    # As large as the transfer, so that both are read from the same level of the cache.
+    stream = torch.ones(transfer.transfer.numel())
+    # Larger than any cache.
+    memory = torch.ones(50_000_000)
+    square = torch.randn(2048, 2048, generator=generator)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.onnx"
+        export(transfer, path)
+        session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    identity = torch.eye(3)
+
+    def ort(light: torch.Tensor) -> np.ndarray:
+        rotation = identity.expand(len(light), 3, 3).contiguous().numpy()
+        return session.run(None, {"light": light.numpy(), "rotation": rotation})[0]
+
+    def turned(light: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
+        return module(light, identity.expand(len(light), 3, 3), out=out)
+
+    with torch.no_grad():
+        times = time_it(
+            {
+                "read as much as the transfer": stream.sum,
+                "read 200 MB": memory.sum,
+                "product of two 2048 x 2048": lambda: square @ square,
+                "1 light": lambda: module(one, out=out_one),
+                "1 light, new result": lambda: module(one),
+                "1 light, [V, N] @ [N, 3]": lambda: torch.matmul(by_vertex, one[0]),
+                "1 light, turned": lambda: turned(one, out_one),
+                "1 light, turned, ONNX Runtime": lambda: ort(one),
+                f"{MANY} lights": lambda: module(many, out=out_many),
+                f"{MANY} lights, new result": lambda: module(many),
+                f"{MANY} lights, turned": lambda: turned(many, out_many),
+                f"{MANY} lights, turned, new result": lambda: turned(many),
+                f"{MANY} lights, turned, ONNX Runtime": lambda: ort(many),
+            },
+            rounds=rounds,
+        )
+        wanted_one, wanted_many = (shader(transfer, dtype=torch.float64)(light.double()) for light in (one, many))
+        values = {
+            "1 light": module(one),
+            "1 light, [V, N] @ [N, 3]": 0.5 * torch.matmul(by_vertex, one),
+            "1 light, turned": turned(one),
+            "1 light, turned, ONNX Runtime": torch.from_numpy(ort(one)),
+            f"{MANY} lights": module(many),
+            f"{MANY} lights, turned": turned(many),
+            f"{MANY} lights, turned, ONNX Runtime": torch.from_numpy(ort(many)),
+        }
+    table = Table(f"Shading {VERTICES} vertices, order {ORDER}, one thread, process CPU time")
+    for name, timing in times.items():
+        error = None
+        if name in values:
+            error = relative_rms(values[name], wanted_one if len(values[name]) == 1 else wanted_many)
+        table.add(name, seconds=timing, error=error)
+    rich.print(table)
+
+    rate = 2 * 2048**3 / times["product of two 2048 x 2048"].median
+    work = 2 * MANY * 3 * transfer.transfer.numel()
+    ratios = Table("Ratios")
+
+    def ratio(name: str, value: float, target: float) -> None:
+        ratios.add(name, extra={"ratio": value, "target": target, "met": "yes" if value >= target else "no"})
+
+    # One light writes 3 numbers a vertex and reads N.
+    moved = 1 + 3 / ORDER**2
+    stream_rate = 1 / times["read as much as the transfer"].median
+    memory_rate = memory.numel() / transfer.transfer.numel() / times["read 200 MB"].median
+    one_rate = moved / times["1 light"].median
+    ratio("1 light / rate of a read of the same size", one_rate / stream_rate, 0.7)
+    ratio("1 light / rate of a read of 200 MB", one_rate / memory_rate, 0.7)
+    ratio("1 light / [V, N] @ [N, 3]", times["1 light, [V, N] @ [N, 3]"].median / times["1 light"].median, 5)
+    ratio(f"{MANY} lights / FLOP rate of the square product", work / times[f"{MANY} lights"].median / rate, 0.4)
+    for count in ("1 light", f"{MANY} lights"):
+        runtime = times[f"{count}, turned, ONNX Runtime"].median
+        ratio(f"{count}: ONNX Runtime / torch with out=", times[f"{count}, turned"].median / runtime, 1)
+    fresh = times[f"{MANY} lights, turned, new result"].median
+    runtime = times[f"{MANY} lights, turned, ONNX Runtime"].median
+    ratio(f"{MANY} lights: ONNX Runtime / torch with a new result", fresh / runtime, 1)
+    rich.print(ratios)
+
+
+if __name__ == "__main__":
+    run()
