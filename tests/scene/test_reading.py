@@ -81,6 +81,16 @@ def test_refuses_vertices_that_are_not_finite(write):
     refused(write("a.obj", "v 0 0 0\nv 1 0 0\nv 0 inf 0\nf 1 2 3\n"), "not finite", "vertex 2")
 
 
+def test_refuses_vertices_that_are_too_large_to_compute_with(write):
+    refused(write("a.obj", "v 0 0 0\nv 1e308 0 0\nv 0 -1e308 0\nf 1 2 3\n"), "coordinates above 1e+150")
+
+
+def test_says_nothing_but_the_refusal(write, caplog, capsys):
+    refused(write("a.stl", EXPORTS["text.stl"].replace(b"normal", b"normal x")[:-20]))
+    assert not caplog.records
+    assert not capsys.readouterr().err
+
+
 def test_refuses_vertices_that_are_all_zero(write):
     refused(write("a.ply", ply("0 0 0\n0 0 0\n0 0 0")), "at zero", "without compression")
 

@@ -15,6 +15,9 @@ from .normals import face_normals, unit, vertex_normals
 
 Array = np.ndarray | Tensor
 
+LARGEST = 1e150
+"""Coordinates whose squares, and those of their differences, are still finite."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -96,6 +99,8 @@ def _refuse(positions: Float[np.ndarray, "V 3"], faces: Shaped[np.ndarray, "F 3"
             f"{name} has vertices that are not finite ({bad.sum()} in all), the first is vertex {bad.argmax()}: "
             "remove them or export the mesh again"
         )
+    if np.abs(positions).max() > LARGEST:
+        raise InputError(f"{name} has coordinates above {LARGEST:g}: scale the mesh down")
     if faces.min() < 0 or faces.max() >= len(positions):
         outside = ((faces < 0) | (faces >= len(positions))).any(axis=1)
         raise InputError(

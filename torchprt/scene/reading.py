@@ -1,10 +1,12 @@
 """Mesh files: what they hold, unchanged, or one sentence that says why not."""
 
+import contextlib
 import io
 import json
+import logging
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,9 +57,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     if not data.strip():
         raise InputError(f"{source} is empty: export the mesh again")
     try:
-        with warnings.catch_warnings():
-            # numpy reads text that is not numbers as far as it can and only warns.
-            warnings.simplefilter("error", DeprecationWarning)
+        with _strictly():
             pieces = reader(data, source)
         raw = _join(pieces)
     except InputError:
@@ -68,6 +68,20 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
             f"({_reason(fault)}): export the mesh again"
         ) from fault
     return make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source)
+
+
+@contextlib.contextmanager
+def _strictly() -> Iterator[None]:
+    """Doubts become faults: numpy reads text that is not numbers as far as it can and only warns, trimesh only logs."""
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
