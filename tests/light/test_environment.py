@@ -98,8 +98,7 @@ def test_a_sun_lies_in_one_direction_for_images_and_formulas(direction, texel, f
 
 
 def test_off_axis_lamps_keep_their_place_through_both_maps():
-    directions = sh.fibonacci(40)[0]
-    for toward in directions:
+    for toward in sh.fibonacci(12)[0]:
         image = torch.exp(200 * (sh.latlong_directions(64, 128) @ toward - 1))[..., None].expand(-1, -1, 3)
         for again in (light.latlong_to_cube(image, 32), light.cube_to_latlong(light.latlong_to_cube(image, 32), 64)):
             moment = irradiance_vector(again)[1:, 0]

@@ -328,7 +328,7 @@ def test_a_sun_with_a_dead_channel_is_reported_and_a_dark_blue_sky_is_not():
     report = inspect(image)
     assert report.dead_channels == ("red", "green")
     assert report.dead_pixels == 1
-    assert str(report).startswith("red and green are zero in 1 of the brightest pixels (up to 5000)")
+    assert str(report).startswith("red or green is zero in 1 of the brightest pixels (up to 5000)")
 
 
 def test_real_photographs_hold_what_is_known_of_them(data):

@@ -38,10 +38,11 @@ def directional(
     Source: D3DXSHEvalDirectionalLight, and XMSHEvalDirectionalLight of DirectXMath.
     """
     axis, colour = unit_and_colour(direction, radiance)
-    factor = math.pi
+    # A delta function of irradiance pi has all bands pi.
+    bands = torch.full((order,), math.pi, dtype=torch.float64, device=axis.device)
     if normalise:
-        factor /= float(_facing(torch.ones(order, dtype=torch.float64)))
-    return sh.basis(axis, order)[..., :, None] * (factor * colour)[..., None, :]
+        bands = bands / (_facing(bands) / math.pi)
+    return zonal_light(axis, bands, colour)
 
 
 def disc(

@@ -64,11 +64,10 @@ class ImageReport:
             )
             found.append(f"{self.nan} NaN and {self.infinite} infinite values: {done}.")
         if self.dead_pixels:
-            channels = " and ".join(self.dead_channels)
-            verb = "is" if len(self.dead_channels) == 1 else "are"
+            channels = " or ".join(self.dead_channels)
             lamp = f"{self.dead_pixels} of the brightest pixels (up to {self.maximum:.6g})"
             found.append(
-                f"{channels} {verb} zero in {lamp}: "
+                f"{channels} is zero in {lamp}: "
                 "they were left as they are, and tint the light unless the lamp really has that colour."
             )
         span = f"from {self.minimum:.6g} to {self.maximum:.6g}"

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -45,13 +46,7 @@ def latlong_to_cube(image: Float[Tensor, "*B H W C"], size: int) -> Float[Tensor
     height = image.shape[-3]
     samples = math.ceil(2 * (2 / size) / (math.pi / height))
     atlas = _planes(_extend_latlong(image))
-
-    def radiance(directions: Tensor) -> Tensor:
-        x, y, z = directions.unbind(-1)
-        column = (torch.atan2(x, -z) / math.pi + 1) * height
-        row = torch.atan2(torch.hypot(x, z), y) / math.pi * height
-        return _bilinear(atlas, column + 1, row + 1)
-
+    radiance = functools.partial(_sample_latlong, atlas)
     faces = [_cube_face(radiance, face, size, samples, image) for face in range(6)]
     cube = torch.stack(faces, dim=1)
     return cube.movedim(2, -1).reshape(*image.shape[:-3], 6, size, size, image.shape[-1])
@@ -72,12 +67,7 @@ def cube_to_latlong(cube: Float[Tensor, "*B faces S T C"], height: int) -> Float
     size = cube.shape[-2]
     samples = math.ceil(math.pi * size / height)
     atlas = _planes(_extend_cube(cube).flatten(-4, -3))
-
-    def radiance(directions: Tensor) -> Tensor:
-        face, s, t = _face_of(directions)
-        column, row = ((1 + coordinate) * (size / 2) + 1 for coordinate in (s, t))
-        return _bilinear(atlas, column, row + face * (size + 2))
-
+    radiance = functools.partial(_sample_cube, atlas)
     rows = max(1, CHUNK // (2 * height * samples**2))
     bands = [
         _latlong_rows(radiance, first, min(first + rows, height), height, samples, cube)
@@ -130,8 +120,13 @@ def _extend_cube(cube: Float[Tensor, "*B 6 S S C"]) -> Float[Tensor, "*B 6 S2 S2
     return around.reshape(*cube.shape[:-4], 6, size + 2, size + 2, channels)
 
 
-@functools.lru_cache(maxsize=16)
+@torch.compiler.assume_constant_result
 def _neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    build = _build_neighbours if torch.compiler.is_compiling() else _cached_neighbours
+    return build(size, device)
+
+
+def _build_neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     """For every texel of the extended faces the three texels whose mean it is (three times the same, mostly)."""
     # A little beyond an edge, at the height of the texel, lies the neighbour that shares the edge.
     inside = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
@@ -155,6 +150,9 @@ def _neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor
     )
 
 
+_cached_neighbours = functools.lru_cache(maxsize=16)(_build_neighbours)
+
+
 def _direction(face: int, s: Tensor, t: Tensor) -> Tensor:
     """The direction, not of unit length, at (s, t) of a face (docs/conventions.md)."""
     one = torch.ones_like(s)
@@ -175,6 +173,22 @@ def _face_of(directions: Float[Tensor, "*D 3"]) -> tuple[Tensor, Tensor, Tensor]
     return face.to(directions.dtype), s / depth, t / depth
 
 
+def _sample_latlong(atlas: Float[Tensor, "b C H W"], directions: Float[Tensor, "h w 3"]) -> Float[Tensor, "b C h w"]:
+    height = atlas.shape[-2] - 2
+    x, y, z = directions.unbind(-1)
+    column = (torch.atan2(x, -z) / math.pi + 1) * height
+    row = torch.atan2(torch.hypot(x, z), y) / math.pi * height
+    return _bilinear(atlas, column + 1, row + 1)
+
+
+def _sample_cube(atlas: Float[Tensor, "b C H W"], directions: Float[Tensor, "h w 3"]) -> Float[Tensor, "b C h w"]:
+    """The extended faces lie one below the other."""
+    size = atlas.shape[-1] - 2
+    face, s, t = _face_of(directions)
+    column, row = ((1 + coordinate) * (size / 2) + 1 for coordinate in (s, t))
+    return _bilinear(atlas, column, row + face * (size + 2))
+
+
 def _bilinear(atlas: Float[Tensor, "b C H W"], column: Tensor, row: Tensor) -> Float[Tensor, "b C h w"]:
     """Between the centres of texels, which are at a half."""
     height, width = atlas.shape[-2:]
@@ -183,7 +197,9 @@ def _bilinear(atlas: Float[Tensor, "b C H W"], column: Tensor, row: Tensor) -> F
     return F.grid_sample(atlas, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
 
-def _cube_face(radiance, face: int, size: int, samples: int, like: Tensor) -> Float[Tensor, "b C S S"]:
+def _cube_face(
+    radiance: Callable[[Tensor], Tensor], face: int, size: int, samples: int, like: Tensor
+) -> Float[Tensor, "b C S S"]:
     line = _centres(size * samples, like) * 2 - 1
     step = max(1, CHUNK // (size * samples**2)) * samples
     pieces = []
