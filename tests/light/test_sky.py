@@ -51,6 +51,8 @@ def test_refuses_a_sun_that_has_set_and_no_direction():
         light.clear_sky((0.0, 0.0, 0.0), 3.0, 3)
     with pytest.raises(InputError, match="up"):
         light.clear_sky((0.0, 1.0, 0.0), 3.0, 3, up=(0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="one direction"):
+        light.clear_sky((0.0, 1.0, 0.0), 3.0, 3, up=torch.ones(1, 3))
 
 
 # The sky.

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt import sh
+from torchprt.errors import InputError
 from torchprt.light.analytic import disc
 from torchprt.light.arguments import Colour, Number, Vector, check, unit_and_colour, zonal_light
 from torchprt.light.sun import HALF_ANGLE, srgb_of_xyz, sun_radiance
@@ -85,8 +86,7 @@ def clear_sky(
     Source: Preetham, Shirley and Smits 1999, "A practical analytic model for daylight".
     """
     toward_sun, albedo = unit_and_colour(sun_direction, ground_albedo, "sun_direction")
-    zenith, _ = unit_and_colour(up, 0.0, "up")
-    zenith = zenith.to(toward_sun)
+    zenith = _one_zenith(up, toward_sun)
     nodes, weights = _upper_hemisphere(zenith, order)
     radiance = clear_sky_radiance(nodes, toward_sun, turbidity, up=zenith)
     light = (sh.basis(nodes, order).mT * weights) @ radiance
@@ -112,7 +112,7 @@ def clear_sky_radiance(
     Linear sRGB in units of 1000 cd / m^2; never out of its gamut for the turbidity allowed. Errors as `clear_sky`.
     """
     toward_sun, _ = unit_and_colour(sun_direction, 0.0, "sun_direction")
-    zenith = unit_and_colour(up, 0.0, "up")[0].to(toward_sun)
+    zenith = _one_zenith(up, toward_sun)
     haze = torch.as_tensor(turbidity, dtype=toward_sun.dtype, device=toward_sun.device)
     good = (haze >= LEAST_TURBIDITY) & (haze <= LARGEST_TURBIDITY)
     check("turbidity", haze, good, f"must be from {LEAST_TURBIDITY:g} to {LARGEST_TURBIDITY:g}")
@@ -155,6 +155,13 @@ def _zenith_colour(angle: Tensor, haze: Tensor) -> Float[Tensor, "*B 3"]:
     chi = (4 / 9 - haze / 120) * (math.pi - 2 * angle)
     luminance = (4.0453 * haze - 4.9710) * chi.tan() - 0.2155 * haze + 2.4192
     return torch.stack(torch.broadcast_tensors(x, y, luminance), dim=-1)
+
+
+def _one_zenith(up: Vector, like: Tensor) -> Float[Tensor, "3"]:
+    zenith, _ = unit_and_colour(up, 0.0, "up")
+    if zenith.ndim != 1:
+        raise InputError(f"up must be one direction for all suns, not a batch of shape {tuple(zenith.shape)}")
+    return zenith.to(like)
 
 
 def _zenith_angle(toward_sun: Tensor, zenith: Tensor) -> tuple[Tensor, Tensor]:
