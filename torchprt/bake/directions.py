@@ -42,14 +42,12 @@ def frames(normals: Float[Tensor, "v 3"]) -> Float[Tensor, "v 3 3"]:
     A zero normal gets a frame that is not a rotation; such a receiver has no transfer.
     Source: Frisvad 2012, Building an Orthonormal Basis from a 3D Unit Vector Without Normalization.
     """
-    # A cyclic permutation puts the pole of the formula at y.
     x, y, z = normals.unbind(-1)
     # 1 + y without cancellation near the pole.
     height = torch.where(y < 0, (x * x + z * z) / (1 - y), 1 + y)
     above = height > 0
     a = torch.where(above, -1 / torch.where(above, height, 1), 0)
     b = x * z * a
-    # Components (z', x', y') of the permuted frame, listed as x, y, z.
-    tangent = torch.stack([b, -x, 1 + x * x * a], -1)
-    bitangent = torch.stack([torch.where(above, 1 + z * z * a, -1), -z, b], -1)
+    tangent = torch.stack([b, -z, 1 + z * z * a], -1)
+    bitangent = torch.stack([torch.where(above, 1 + x * x * a, -1), -x, b], -1)
     return torch.stack([tangent, bitangent, normals], -2)
