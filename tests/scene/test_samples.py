@@ -10,7 +10,7 @@ from torchprt.scene.samples import coloured_box, organic, plane_and_blocker
 from torchprt.scene.samples.surface_nets import surface_nets
 
 
-@pytest.mark.parametrize("make", [lambda: organic(4999), lambda: plane_and_blocker(0), lambda: coloured_box(3)])
+@pytest.mark.parametrize("make", [lambda: organic(7999), lambda: plane_and_blocker(0), lambda: coloured_box(3)])
 def test_refuses_too_little_detail(make):
     with pytest.raises(InputError, match="give at least"):
         make()

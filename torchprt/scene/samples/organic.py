@@ -28,10 +28,10 @@ def organic(vertices: int = 50_000, albedo: Albedo = 0.6) -> Scene:
 
     Ringed limbs leave a hollowed body, taper, and curl over and past each other. The same every time.
 
-    Raises InputError if `vertices` is below 5000: the thin ends would be lost.
+    Raises InputError if `vertices` is below 8000: the thin ends would be lost.
     """
-    if vertices < 5000:
-        raise InputError(f"vertices is {vertices}: give at least 5000, or the thin ends are lost")
+    if vertices < 8000:
+        raise InputError(f"vertices is {vertices}: give at least 8000, or the thin ends are lost")
     return Scene([Object(_mesh(vertices), Material(albedo))])
 
 
@@ -42,16 +42,15 @@ def _mesh(vertices: int) -> Mesh:
     field = _field(centres, radii)
     # The number of vertices goes with the square of the resolution.
     cell = 0.06
-    wanted = vertices
     for attempt in range(12):
         positions, faces = surface_nets(field, low, high, cell, relaxations=3 if attempt else 0)
-        close = attempt > 0 and abs(len(positions) - wanted) <= 0.02 * wanted
+        close = attempt > 0 and abs(len(positions) - vertices) <= 0.02 * vertices
         if close:
             mesh = make_mesh(positions, faces, name="organic")
-            if mesh.report.watertight:
+            if mesh.report.watertight and mesh.report.components == 1:
                 return mesh
-        # Two sheets in one cell are not a surface: a slightly different grid parts them.
-        cell *= 0.997 if close else (len(positions) / wanted) ** 0.5
+        # A thin end that fell between the cells comes back on a slightly different grid.
+        cell *= 0.997 if close else (len(positions) / vertices) ** 0.5
     raise RuntimeError(f"no closed surface of {vertices} vertices was found")
 
 
