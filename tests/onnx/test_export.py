@@ -31,7 +31,9 @@ def written(make_transfer, tmp_path_factory):
     config.update("jaxtyping_disable", True)
     transfer = make_transfer(order=3, transport="interreflected", bounces=2, rays=64, seed=5, error=0.01, signal=0.5)
     path = tmp_path_factory.mktemp("onnx") / "scene.onnx"
-    return path, transfer, export(transfer, path)
+    report = export(transfer, path)
+    config.update("jaxtyping_disable", False)
+    return path, transfer, report
 
 
 # Misuse
