@@ -54,7 +54,7 @@ def test_has_the_constants_and_signs_of_the_papers():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("order", [1, 2, 3, 6, 32, 65])
+@pytest.mark.parametrize("order", [1, 2, 3, 6, 33])
 def test_with_and_without_gradients_give_the_same_values(order, dtype):
     directions, _ = sh.fibonacci(301, dtype)
     plain = sh.basis(directions, order)
