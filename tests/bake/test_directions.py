@@ -61,7 +61,9 @@ def test_the_normal_is_the_third_row_of_a_frame():
 def test_frames_turn_no_faster_than_twice_their_normals_away_from_straight_down():
     normals = normals_with_extremes()
     normals = normals[normals[:, 1] > -0.9]
-    nudged = normals + 1e-6 * torch.randn(normals.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    nudged = normals + 1e-6 * torch.randn(
+        normals.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1)
+    )
     nudged = nudged / nudged.norm(dim=-1, keepdim=True)
     change = (frames(nudged) - frames(normals)).flatten(1).norm(dim=-1)
     # The spin about the normal is tan(theta / 2) times the turn, below 4.4 where y > -0.9.
@@ -94,7 +96,10 @@ def test_unshadowed_transfer_is_the_projected_cosine(order):
 
 
 # RMS error of a coefficient of a shadowed cosine, order 5, whole-sphere sets (published with the method's notes).
-PUBLISHED = {"random": {256: 8.2e-2, 1024: 4.2e-2, 4096: 2.1e-2}, "fibonacci": {256: 9.7e-3, 1024: 3.4e-3, 4096: 1.2e-3}}
+PUBLISHED = {
+    "random": {256: 8.2e-2, 1024: 4.2e-2, 4096: 2.1e-2},
+    "fibonacci": {256: 9.7e-3, 1024: 3.4e-3, 4096: 1.2e-3},
+}
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +107,9 @@ def shadowed_cosines():
     """A projection of 150 cosines behind random caps from any set of directions, and its truth. The published signal
     is a scan's; the caps are such that the RMS of a coefficient is the same, .252."""
     generator = torch.Generator().manual_seed(0)
-    axes, normals = torch.nn.functional.normalize(torch.randn(2, 150, 3, generator=generator, dtype=torch.float64), dim=-1)
+    axes, normals = torch.nn.functional.normalize(
+        torch.randn(2, 150, 3, generator=generator, dtype=torch.float64), dim=-1
+    )
     cosine = 0.3 + 0.7 * torch.rand(150, 1, generator=generator, dtype=torch.float64)
 
     def project(directions):

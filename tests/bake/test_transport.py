@@ -2,12 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from shapes import bowl, disc, square
 
 from torchprt import sh
-from torchprt.bake import bake, hemisphere, unshadowed
+from torchprt.bake import bake, frames, hemisphere, unshadowed
 from torchprt.errors import InputError
 from torchprt.scene import Material, Object, Points, Scene, load, make_mesh, samples
 
@@ -85,10 +86,7 @@ def test_shadowed_coefficients_agree_with_quadrature(order):
     lowest = 0.0
     edge = height / math.hypot(radius, height)
     # Gauss-Legendre over exactly the visible band of cosines, times a rotation-symmetric rule: exact.
-    z, weight = torch.from_numpy(__import__("numpy").polynomial.legendre.leggauss(order + 1)[0]), None
-    z, weight = (
-        torch.from_numpy(values).double() for values in __import__("numpy").polynomial.legendre.leggauss(order + 1)
-    )
+    z, weight = (torch.from_numpy(values) for values in np.polynomial.legendre.leggauss(order + 1))
     y = lowest + (edge - lowest) * (z + 1) / 2
     weight = weight * (edge - lowest) / 2
     phi = torch.arange(2 * order, dtype=torch.float64) * (math.pi / order)
@@ -179,7 +177,11 @@ def test_colour_bleeds_from_the_wall_that_is_near():
     up = transfer.normals[:, 1] > 0.9
     x = transfer.positions[:, 0]
     red, green = constant(transfer)[0], constant(transfer)[1]
-    left, right = low & up & (x < 0.8 * x.min()), low & up & (x > 0.8 * x.max())
+    # The floor near each wall; what is hidden between objects that touch has no colour to speak of.
+    lit = low & up & (red + green > 0.02)
+    left, right = lit & (x < 0.8 * x.min()), lit & (x > 0.8 * x.max())
+    assert left.sum() > 5
+    assert right.sum() > 5
     assert (red[left] > green[left]).all()
     assert (green[right] > red[right]).all()
 
@@ -271,8 +273,6 @@ def test_directions_of_a_receiver_are_those_of_its_hemisphere():
     points = Points(mesh.positions[chosen], mesh.normals[chosen])
     rays = 64
     transfer = quiet(load(mesh), rays=rays, order=1, receivers=points)
-    from torchprt.bake import frames
-
     directions = hemisphere(rays)
     world = directions @ frames(mesh.normals[chosen])
     corners = mesh.positions[mesh.faces]

@@ -40,7 +40,7 @@ def bake(
     *,
     order: int = 5,
     rays: int = 1024,
-    bounces: float = 0,
+    bounces: int | float = 0,
     shadows: bool = True,
     receivers: Points | None = None,
     seed: int = 0,
@@ -107,7 +107,7 @@ def bake(
     return result
 
 
-def _check(order: int, rays: int, bounces: float, shadows: bool, threads: int | None) -> None:
+def _check(order: int, rays: int, bounces: int | float, shadows: bool, threads: int | None) -> None:
     if not 1 <= order <= 64:
         raise InputError(f"order is {order}: give a number from 1 to 64")
     if not 1 <= rays <= 1 << 22:
@@ -124,7 +124,7 @@ def _at_points(
     job: Job,
     points: Points,
     albedo: Tensor,
-    bounces: float,
+    bounces: int | float,
     store: Checkpoint | None,
     workers: Workers,
     report: Report,
@@ -159,7 +159,7 @@ def _at_points(
 
 @contextlib.contextmanager
 def _store(
-    folder: Path | None, job: Job, geometry: Geometry, points: Points | None, bounces: float
+    folder: Path | None, job: Job, geometry: Geometry, points: Points | None, bounces: int | float
 ) -> Iterator[Checkpoint | None]:
     """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
     if folder is None and not bounces:

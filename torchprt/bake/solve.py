@@ -77,7 +77,7 @@ def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]
 def solve(
     job: Job,
     albedo: Float[Tensor, "V D"],
-    bounces: float,
+    bounces: int | float,
     store: Checkpoint | None,
     workers: Workers,
     report: Report,

@@ -42,5 +42,5 @@ def bowl(opening, rings=48, segments=96):
     phi = torch.arange(segments + 1, dtype=torch.float64) * (2 * math.pi / segments)
     theta, phi = torch.meshgrid(theta, phi, indexing="ij")
     positions = torch.stack([theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()], -1).view(-1, 3)
-    mesh = make_mesh(positions, grid(segments + 1, rings), normals=-positions, name="bowl")
+    mesh = make_mesh(positions, grid(segments + 1, rings).flip(1), normals=-positions, name="bowl")
     return mesh, (1 - math.cos(opening)) / 2
