@@ -205,6 +205,31 @@ def test_points_record_what_vertices_at_their_place_do():
         torch.testing.assert_close(at_points.transfer, at_vertices.transfer[:, :, 100:150], atol=2e-3, rtol=0)
 
 
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("scale", [1.0, 1e-5, 3e4])
+def test_where_a_wall_stands_on_a_floor_the_floor_sees_half_the_sky(turn, scale):
+    floor = square(resolution=9)
+    angle = 0.3 + turn
+    spin = torch.tensor(
+        [[math.cos(angle), -0.6 * math.sin(angle), 0.8 * math.sin(angle)], [0, 0.8, 0.6],
+         [-math.sin(angle), -0.6 * math.cos(angle), 0.8 * math.cos(angle)]], dtype=torch.float64
+    )  # fmt: skip
+    edge = floor.positions[:, 0] > 0.49
+    # The floor turned up about its right edge; far higher than wide, so that half the sky is gone.
+    wall = floor.positions.clone()
+    wall[:, 1], wall[:, 0] = (0.5 - wall[:, 0]) * 1e4, 0.5
+    wall[:, 2] *= 1e4
+    scene = Scene(
+        [
+            Object(make_mesh(floor.positions @ spin.T * scale, floor.faces)),
+            Object(make_mesh(wall @ spin.T * scale, floor.faces), Material(0.0), "blocker"),
+        ]
+    )
+    reading = constant(quiet(scene, rays=1024))[0]
+    # One Fibonacci direction in thirty lies along the wall.
+    torch.testing.assert_close(reading[edge], torch.full_like(reading[edge], 0.5), atol=0.02, rtol=0)
+
+
 def test_a_vertex_without_a_normal_has_zero_transfer():
     positions = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 0, -1], [5, 5, 5]], dtype=torch.float64)
     mesh = make_mesh(positions, torch.tensor([[0, 1, 2]]))

@@ -57,15 +57,31 @@ def surfaces(geometry: Geometry) -> Surfaces:
 
 def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:
     """The receivers of a scene with the origins of their rays."""
+    size, inward = _around_vertices(geometry)
+    points, normals = geometry.receiver_positions, geometry.receiver_normals
+    on_receivers = torch.zeros(len(points), dtype=torch.float64)
+    away = torch.zeros_like(points)
+    for numbering in (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex):
+        recording = numbering >= 0
+        on_receivers[numbering[recording]] = size[recording]
+        away[numbering[recording]] = inward[recording]
+    # Where a wall stands on a floor, the edge of the floor lies in the wall, which would block every ray or none as
+    # rounding will have it. A step toward the middle of its own faces, as small as that off the surface, decides.
+    away = away - (away * normals).sum(-1, keepdim=True) * normals + normals
+    return Receivers(points, normals, tracer.origins(points, away, on_receivers))
+
+
+def _around_vertices(geometry: Geometry) -> tuple[Float[Tensor, "Vall"], Float[Tensor, "Vall 3"]]:
+    """Longest extent of the faces at each vertex, and the mean direction to their middles (short unless at an edge)."""
     corners = geometry.positions[geometry.faces]
     extent = (corners.amax(1) - corners.amin(1)).amax(-1)
+    at = geometry.faces.flatten()
     size = torch.zeros(len(geometry.positions), dtype=torch.float64)
-    size = size.scatter_reduce(0, geometry.faces.flatten(), extent.repeat_interleave(3), "amax")
-    on_receivers = torch.zeros(geometry.receivers, dtype=torch.float64)
-    for numbering in (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex):
-        on_receivers[numbering[numbering >= 0]] = size[numbering >= 0]
-    points, normals = geometry.receiver_positions, geometry.receiver_normals
-    return Receivers(points, normals, tracer.origins(points, normals, on_receivers))
+    size = size.scatter_reduce(0, at, extent.repeat_interleave(3), "amax")
+    to_middle = torch.nn.functional.normalize(corners.mean(1, keepdim=True) - corners, dim=-1).view(-1, 3)
+    total = torch.zeros_like(geometry.positions).index_add(0, at, to_middle)
+    count = torch.bincount(at, minlength=len(total)).clamp(min=1)
+    return size, total / count[:, None]
 
 
 def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]) -> Float[Tensor, "V W"]:

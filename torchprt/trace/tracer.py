@@ -77,15 +77,16 @@ class Tracer:
     def origins(
         self,
         points: Float[Tensor, "v 3"],
-        normals: Float[Tensor, "v 3"],
+        away: Float[Tensor, "v 3"],
         size: Float[Tensor, "v"] | float = 0.0,
     ) -> Float[Tensor, "v 3"]:
-        """Where rays from surface points start, float32, local frame: lifted along the normal by `OFFSET` times the
-        larger of the coordinates and of `size`, the extent of the triangles around each point in world units."""
+        """Where rays from surface points start, float32, local frame: moved along `away` (the normal, or more) by
+        `OFFSET` times the largest coordinate plus `size`, the extent of the triangles around each point in the world.
+        """
         local = self.local(points)
         size = torch.as_tensor(size, dtype=torch.float64) * self.scale
         lift = OFFSET * (local.abs().amax(-1) + size)
-        return (local + lift[:, None] * normals.to(torch.float64)).to(torch.float32)
+        return (local + lift[:, None] * away.to(torch.float64)).to(torch.float32)
 
     def visibility(
         self,

@@ -1,0 +1,101 @@
+"""Still pictures without a display: Embree casts the camera's rays."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.files import atomic
+from torchprt.preview.camera import Camera, frame
+from torchprt.shade import display
+from torchprt.shade.display import ToneMap
+from torchprt.trace import Tracer
+
+BACKGROUND = 0.18
+
+
+class Still:
+    """A model seen by a camera: the hits are found once, then every light and rotation is an interpolation.
+
+    `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel along each side.
+    The camera of `frame` if none is given. Back faces are black: they reflect nothing.
+    Raises InputError if the model has no faces.
+    """
+
+    def __init__(
+        self,
+        positions: Float[Tensor, "V 3"],
+        faces: Tensor,
+        *,
+        size: tuple[int, int] = (800, 600),
+        camera: Camera | None = None,
+        samples: int = 2,
+    ):
+        if len(faces) == 0:
+            raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
+        width, height = size
+        camera = camera or frame(positions, aspect=width / max(height, 1))
+        tracer = Tracer(positions, faces)
+        eye = torch.tensor(camera.eye, dtype=torch.float64)
+        hits = tracer.camera(eye, camera.directions(width * samples, height * samples))
+        self._seen = hits.triangle >= 0
+        triangle = hits.triangle.long().clamp(min=0)
+        corners, front = faces.long()[triangle], hits.front
+        if bool((self._seen & ~front).any()):
+            # A two-sided surface is there twice, and Embree may have met either: the side that faces us counts.
+            reverse = _reverse_corners(positions, faces)[triangle]
+            twin = ~front & (reverse[..., 0] >= 0)
+            corners, front = torch.where(twin[..., None], reverse, corners), front | twin
+        weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1)
+        self._corners = corners
+        self._weights = torch.where((self._seen & front)[..., None], weights, 0)
+        self._samples = samples
+
+    def radiance(self, vertex_radiance: Float[Tensor, "V 3"], background: float = BACKGROUND) -> Float[Tensor, "H W 3"]:
+        """The picture of linear radiance."""
+        shaded = (vertex_radiance[self._corners] * self._weights[..., None].to(vertex_radiance)).sum(-2)
+        picture = torch.where(self._seen[..., None], shaded, background)
+        height, width = picture.shape[0] // self._samples, picture.shape[1] // self._samples
+        return picture.view(height, self._samples, width, self._samples, 3).mean((1, 3))
+
+    def picture(
+        self,
+        vertex_radiance: Float[Tensor, "V 3"],
+        *,
+        exposure: float = 0.0,
+        tone: ToneMap = "filmic",
+        background: float = BACKGROUND,
+    ) -> Float[Tensor, "H W 3"]:
+        """The picture as sRGB in [0, 1]; the background is not exposed."""
+        linear = vertex_radiance * 2.0**exposure
+        return display(self.radiance(linear, background), tone=tone)
+
+
+def _reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
+    """`[F, 3]`: for each corner of a face the vertex at its place of the face's other side; -1 where there is none."""
+    _, place = torch.unique(positions, dim=0, return_inverse=True)
+    places, by_place = place[faces.long()].sort(-1)
+    _, group = torch.unique(places, dim=0, return_inverse=True)
+    pairs = torch.argsort(group, stable=True)
+    ordered = group[pairs]
+    same = torch.nonzero(ordered[1:] == ordered[:-1])[:, 0]
+    twin = torch.full((len(faces),), -1)
+    twin[pairs[same]], twin[pairs[same + 1]] = pairs[same + 1], pairs[same]
+    sorted_vertices = faces.long().gather(1, by_place)
+    reverse = sorted_vertices[twin.clamp(min=0)].gather(1, by_place.argsort(-1))
+    return torch.where(twin[:, None] >= 0, reverse, -1)
+
+
+def save_png(picture: Float[Tensor, "H W 3"], path: str | os.PathLike[str]) -> None:
+    """Writes sRGB values in [0, 1] as 8-bit PNG. Raises InputError if `path` cannot be written."""
+    from PIL import Image
+
+    values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    with atomic(Path(path)) as temporary:
+        Image.fromarray(np.ascontiguousarray(values)).save(temporary, format="PNG")
