@@ -18,6 +18,7 @@ from typing import Any
 
 import rich
 import torch
+from rich.console import Console
 
 from torchprt.bake import bake
 from torchprt.measure import Table
@@ -120,7 +121,7 @@ def run() -> None:
         parts |= {"grown": found["peak"] - found["before"], "peak": found["peak"]}
         name = f"{vertices // 1000}k x {rays} rays" + (f", {bounces} bounces" if bounces else "")
         table.add(name, extra={name: round(size / 2**20) for name, size in parts.items()})
-    rich.print(table)
+    Console(width=None if sys.stdout.isatty() else 120).print(table)
     for stage, peak in found["stages"].items():
         rich.print(f"a million vertices: {peak / 2**20:.0f} MiB at most until the end of '{stage}'")
     verdict = "below" if found["peak"] < LIMIT else "NOT below"
