@@ -1,1 +1,55 @@
-"""Precomputed radiance transfer for PyTorch: bake once, relight in real time, export to ONNX."""
+"""Precomputed radiance transfer for PyTorch: bake once, relight in real time, export to ONNX.
+
+    import torchprt as prt
+
+    scene = prt.load("bunny.ply", albedo=0.5)
+    transfer = prt.bake(scene, order=5, rays=1024, bounces=2)
+    shade = prt.shader(transfer)
+    radiance = shade(prt.light.project(prt.light.read("park.exr"), order=5))  # [V, 3], linear
+
+Rooms are imported when they are first used, so that shading alone never loads a tracer or a mesh library.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from .errors import InputError as InputError
+from .version import VERSION as __version__
+
+if TYPE_CHECKING:
+    from .bake import bake as bake
+    from . import light as light
+    from . import measure as measure
+    from . import onnx as onnx
+    from . import preview as preview
+    from . import scene as scene
+    from . import sh as sh
+    from . import shade as shade
+    from . import transfer as transfer
+
+_ROOMS = ("bake", "light", "measure", "onnx", "preview", "scene", "sh", "shade", "trace", "transfer")
+_NAMES = {
+    "load": "scene",
+    "Scene": "scene",
+    "Object": "scene",
+    "Material": "scene",
+    "Points": "scene",
+    "samples": "scene",
+    "shader": "shade",
+    "DiffuseTransfer": "transfer",
+    "load_transfer": "transfer",
+    "save_transfer": "transfer",
+}
+__all__ = ["InputError", "__version__", *_ROOMS, *_NAMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return importlib.import_module(f"torchprt.{name}")
+    if name in _NAMES:
+        return getattr(importlib.import_module(f"torchprt.{_NAMES[name]}"), name.removesuffix("_transfer"))
+    raise AttributeError(f"module 'torchprt' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -34,3 +34,20 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
+    """`path`, if a file of one of `suffixes` could be written there: asked before long work, not after it.
+
+    Raises InputError if it could not.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise InputError(f"{target} must end in {' or '.join(suffixes)}")
+    if target.is_dir():
+        raise InputError(f"{target} is a folder: give the name of a file to write")
+    if not target.parent.is_dir():
+        raise InputError(f"{target} cannot be written: the folder {target.parent} does not exist, make it first")
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{target} cannot be written: no permission in {target.parent}, choose another folder")
+    return target

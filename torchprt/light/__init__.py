@@ -5,6 +5,8 @@ from .analytic import directional as directional
 from .analytic import disc as disc
 from .analytic import hemisphere as hemisphere
 from .analytic import sphere as sphere
+from .coefficients import read_coefficients as read_coefficients
+from .coefficients import write_coefficients as write_coefficients
 from .damage import DamagedImageWarning as DamagedImageWarning
 from .damage import ImageReport as ImageReport
 from .damage import inspect as inspect
@@ -33,7 +35,9 @@ __all__ = [
     "overcast_sky",
     "project",
     "read",
+    "read_coefficients",
     "read_with_report",
     "sphere",
     "sun_radiance",
+    "write_coefficients",
 ]

@@ -1,0 +1,49 @@
+"""A lit model as a file: vertex colours that any viewer shows."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.files import atomic
+from torchprt.shade import display
+from torchprt.shade.display import ToneMap
+
+
+def tone_map(name: str) -> ToneMap:
+    """`name` as a tone map; InputError if there is none of that name."""
+    if name == "filmic":
+        return "filmic"
+    if name == "none":
+        return "none"
+    raise InputError(f"tone map '{name}' is unknown: use 'none' or 'filmic'")
+
+
+def colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "filmic") -> Tensor:
+    """8-bit sRGB of linear radiance, uint8 `[V, 3]`."""
+    shown = display(radiance, exposure=exposure, tone=tone_map(tone))
+    return (shown * 255).round().to(torch.uint8)
+
+
+def save_ply(
+    positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]
+) -> None:
+    """Writes a binary PLY with sRGB vertex colours, vertices and faces in their order.
+
+    Raises InputError if `path` cannot be written.
+    """
+    import trimesh
+
+    points = positions.detach().cpu().numpy()
+    if len(faces):
+        model = trimesh.Trimesh(points, faces.cpu().numpy(), vertex_colors=colour.cpu().numpy(), process=False)
+    else:
+        model = trimesh.PointCloud(points, colors=np.asarray(colour.cpu()))
+    with atomic(Path(path)) as temporary:
+        temporary.write_bytes(model.export(file_type="ply"))
