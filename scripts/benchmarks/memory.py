@@ -8,6 +8,7 @@ there "before": the interpreter, torch and the mesh. Between them stand what tor
 and copies that live for a moment.
 """
 
+import functools
 import json
 import os
 import subprocess
@@ -101,6 +102,7 @@ def measure_bake(vertices: int, rays: int, bounces: int) -> dict[str, Any]:
     }
 
 
+@functools.cache
 def in_a_process(*arguments: int) -> dict[str, Any]:
     """`measure_tree(vertices)` or `measure_bake(vertices, rays, bounces)` in a process of its own."""
     with tempfile.TemporaryFile("w+") as output:
