@@ -18,6 +18,7 @@ from .image import read_with_report as read_with_report
 from .sky import clear_sky as clear_sky
 from .sky import clear_sky_radiance as clear_sky_radiance
 from .sky import overcast_sky as overcast_sky
+from .studio import studio as studio
 from .sun import sun_radiance as sun_radiance
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "read_coefficients",
     "read_with_report",
     "sphere",
+    "studio",
     "sun_radiance",
     "write_coefficients",
 ]

@@ -31,9 +31,7 @@ def colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "
     return (shown * 255).round().to(torch.uint8)
 
 
-def save_ply(
-    positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]
-) -> None:
+def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]) -> None:
     """Writes a binary PLY with sRGB vertex colours, vertices and faces in their order.
 
     Raises InputError if `path` cannot be written.

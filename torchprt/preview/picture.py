@@ -17,7 +17,7 @@ from torchprt.shade import display
 from torchprt.shade.display import ToneMap
 from torchprt.trace import Tracer
 
-BACKGROUND = 0.18
+BACKGROUND = 0.06
 
 
 class Still:

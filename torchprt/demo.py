@@ -1,0 +1,158 @@
+"""What the project does, shown on its own samples: bake, relight, export, and pictures of all of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchprt import light, preview, sh
+from torchprt.bake import bake
+from torchprt.errors import InputError
+from torchprt.files import atomic
+from torchprt.scene import samples
+from torchprt.shade import display, shader
+from torchprt.transfer import DiffuseTransfer, save
+
+SIZE = (420, 420)
+EXPOSURE = -1.5
+STONE = 0.6
+Say = Callable[[str], None]
+
+
+def run(folder: Path, say: Say = print) -> None:
+    """Writes transfer, pictures, a lit model and an ONNX graph into `folder`; about a minute on two cores.
+
+    Raises InputError if the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(f"{folder} cannot be made ({fault.strerror}): give another folder with -o") from fault
+    environment = light.studio(256)
+    write_environment(environment, folder / "studio.exr")
+    lamps = light.project(environment, 5)
+    say("An environment of three soft boxes: studio.exr")
+
+    sculpture = samples.organic(50_000, albedo=STONE)
+    started = time.perf_counter()
+    transfer = bake(sculpture, bounces=3)
+    save(transfer, folder / "sculpture.safetensors")
+    say(
+        f"A sculpture of {transfer.vertices} vertices baked in {time.perf_counter() - started:.1f} s, "
+        f"{transfer.bytes / 2**20:.1f} MB, Monte Carlo error {_relative_error(transfer):.2%}: sculpture.safetensors"
+    )
+    pictures = {
+        "transport": transport(transfer, lamps),
+        "turning": turning(transfer, environment),
+        "orders": orders(),
+        "bleeding": bleeding(),
+    }
+    for name, picture in pictures.items():
+        preview.save_png(picture, folder / f"{name}.png")
+    say("Unshadowed, shadowed, interreflected: transport.png")
+    say("The environment turns, the light turns with it: turning.png")
+    say("Shadows by order of the light, as figure 10 of the 2002 paper: orders.png")
+    say("Light takes the colour of the walls along: bleeding.png")
+    with torch.no_grad():
+        radiance = shader(transfer)(lamps)
+    preview.save_ply(transfer.positions, transfer.faces, preview.colours(radiance, EXPOSURE), folder / "sculpture.ply")
+    say("The sculpture with its light as vertex colours, for any viewer: sculpture.ply")
+    _export(transfer, folder / "sculpture.onnx", say)
+
+
+def transport(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
+    """What shadows and interreflection add to the closed form: a sheet of three."""
+    sculpture = samples.organic(50_000, albedo=STONE)
+    bakes = [
+        ("unshadowed", bake(sculpture, shadows=False, progress=False)),
+        ("shadowed", bake(sculpture, rays=512, progress=False)),
+        (f"interreflected, {transfer.bounces} bounces", transfer),
+    ]
+    still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
+    pictures = [still.picture(_shade(each, lamps), exposure=EXPOSURE) for _, each in bakes]
+    return preview.sheet(pictures, [name for name, _ in bakes], columns=3)
+
+
+def turning(transfer: DiffuseTransfer, environment: Tensor) -> Tensor:
+    """Six turns of an environment about the vertical, each beside the turned photograph (its middle is behind)."""
+    still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
+    lamps = light.project(environment, transfer.order)
+    small = environment[::3, ::3]
+    pictures, labels = [], []
+    for yaw in range(0, 360, 60):
+        # The light is turned as coefficients, the inset by moving columns: each shows whether the other is right.
+        turned = sh.rotate(lamps, sh.yaw_pitch_roll(torch.tensor([float(yaw), 0.0, 0.0])))
+        inset = torch.roll(small, -round(small.shape[1] * yaw / 360), dims=1)
+        picture = still.picture(_shade(transfer, turned), exposure=EXPOSURE)
+        picture[-inset.shape[0] :, : inset.shape[1]] = display(inset, exposure=EXPOSURE)
+        pictures.append(picture)
+        labels.append(f"yaw {yaw}")
+    return preview.sheet(pictures, labels, columns=3)
+
+
+def orders() -> Tensor:
+    """A disc of light of three sizes over a square above the ground, by order, and order 5 with a window."""
+    highest = 16
+    transfer = bake(samples.plane_and_blocker(128), order=highest, rays=2048, progress=False)
+    camera = preview.frame(transfer.positions, (0.0, 1.0, 0.35), aspect=1.0)
+    still = preview.Still(transfer.positions, transfer.faces, size=(200, 200), camera=camera)
+    pictures, labels = [], []
+    for radius in (5, 20, 50):
+        for order in (2, 3, 4, 5, 8, highest, -5):
+            count = abs(order)
+            lamp = light.disc((0.35, 1.0, 0.2), math.radians(radius), 1.0, count, normalise=True).float()
+            if order < 0:
+                lamp = sh.window(lamp, sh.hann(count, dtype=torch.float32))
+            pictures.append(still.picture(_shade(transfer.to_order(count), lamp), tone="none"))
+            labels.append(f"{radius} deg, order {count}" + (", Hann" if order < 0 else ""))
+    return preview.sheet(pictures, labels, columns=7)
+
+
+def bleeding() -> Tensor:
+    """A box with a red and a green wall: without, with one and with all bounces."""
+    scene = samples.coloured_box(64)
+    sun = light.disc((0.25, 0.5, 1.0), math.radians(25), 1.6, 5, normalise=True)
+    lamps = (sun + light.constant(0.1, 5)).float()
+    pictures, labels, still = [], [], None
+    for bounces in (0, 1, math.inf):
+        transfer = bake(scene, bounces=bounces, progress=False)
+        if still is None:
+            camera = preview.frame(transfer.positions, (0.0, 0.08, 1.0), aspect=1.0)
+            still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
+        pictures.append(still.picture(_shade(transfer, lamps), exposure=-0.5))
+        labels.append(f"{transfer.bounces} bounces" if transfer.bounces != 1 else "1 bounce")
+    return preview.sheet(pictures, labels, columns=3)
+
+
+def write_environment(image: Tensor, path: Path) -> None:
+    """Writes linear radiance as half-float OpenEXR."""
+    import OpenEXR
+
+    channels = {"RGB": image.numpy().astype("float16")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic(path) as temporary:
+        OpenEXR.File(header, channels).write(str(temporary))
+
+
+def _shade(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
+    with torch.no_grad():
+        return shader(transfer)(lamps)
+
+
+def _relative_error(transfer: DiffuseTransfer) -> float:
+    return transfer.error / transfer.signal if transfer.error is not None and transfer.signal else math.nan
+
+
+def _export(transfer: DiffuseTransfer, path: Path, say: Say) -> None:
+    try:
+        from torchprt.onnx import export
+    except ImportError:
+        say("No ONNX graph: install torchprt[export] for it")
+        return
+    report = export(transfer, path)
+    say(f"The same as one ONNX graph, compared in ONNX Runtime ({report.parity}): {path.name}")
