@@ -1,5 +1,6 @@
 """Basis, rotation and projection beside sphericart and e3nn: CPU time and error, measured in the same run."""
 
+import math
 import statistics
 import time
 import warnings
@@ -12,22 +13,27 @@ from rich.table import Table
 from torchprt import sh
 
 ROUNDS = 15
+FILLED_MS = 20.0
 
 
 def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
     """Process CPU milliseconds of every task, in turns, so that a busy machine slows all of them alike.
 
-    Right before it is measured a task runs once unmeasured: it finds caches and freed memory as it left them
-    itself, not as its neighbour did.
+    A measurement is the mean of as many runs in a row as fill `FILLED_MS`, after one that is not measured: what
+    the task before left in the caches is not the fault of this one.
     """
     times: dict[str, list[float]] = {name: [] for name in tasks}
-    for _ in range(ROUNDS):
+    repeats = dict.fromkeys(tasks, 1)
+    for _ in range(1 + ROUNDS):
         for name, task in tasks.items():
             task()
             start = time.process_time()
-            task()
-            times[name].append(1e3 * (time.process_time() - start))
-    return times
+            for _ in range(repeats[name]):
+                task()
+            times[name].append(1e3 * (time.process_time() - start) / repeats[name])
+            repeats[name] = max(1, math.ceil(FILLED_MS / max(times[name][0], 1e-3)))
+    # The first round only told how many runs fill a measurement.
+    return {name: measured[1:] for name, measured in times.items()}
 
 
 def table(title: str, tasks: dict[str, Callable[[], object]], errors: dict[str, float]) -> Table:
@@ -60,7 +66,7 @@ def basis_of_many_directions(count: int, order: int) -> list[Table]:
         "e3nn": lambda d: o3.spherical_harmonics(degrees, d, normalize=False, normalization="integral"),
     }
     signs = sh.to_sign_free(torch.ones(order**2, 1, dtype=torch.float64))[:, 0]
-    axes = {"torchprt": (directions.double(), 1), "sphericart": (directions.double(), signs)}
+    axes = {"torchprt": (directions.double(), torch.ones_like(signs)), "sphericart": (directions.double(), signs)}
     axes["e3nn"] = (directions.double()[:, [2, 0, 1]], signs)
     errors = {
         name: (form(directions).double() - sh.basis(axes[name][0], order) * axes[name][1]).abs().max().item()

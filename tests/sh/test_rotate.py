@@ -21,6 +21,14 @@ def lights(*shape, dtype=torch.float64, seed=1):
     return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).to(dtype)
 
 
+@pytest.fixture(params=["values", "gradients"])
+def rotate(request):
+    """`sh.rotate` on both its ways: by Euler turns, and by quadrature because a gradient is recorded."""
+    if request.param == "values":
+        return sh.rotate
+    return lambda light, rotation: sh.rotate(light, rotation.clone().requires_grad_()).detach()
+
+
 def test_refuses_a_reflection():
     with pytest.raises(InputError, match="reflection"):
         sh.rotate(lights(9, 3), torch.diag(torch.tensor([1.0, 1.0, -1.0])).double())
@@ -44,18 +52,18 @@ def test_refuses_a_light_that_is_not_square_and_order_zero():
             make(0)
 
 
-def test_takes_no_lights_and_no_channels():
-    assert sh.rotate(lights(0, 9, 3), turns(1)).shape == (0, 9, 3)
-    assert sh.rotate(lights(9, 3), turns(2)[:0]).shape == (0, 9, 3)
+def test_takes_no_lights_and_no_channels(rotate):
+    assert rotate(lights(0, 9, 3), turns(1)).shape == (0, 9, 3)
+    assert rotate(lights(9, 3), turns(2)[:0]).shape == (0, 9, 3)
     assert sh.rotation_matrix(turns(2)[:0], 3).shape == (0, 9, 9)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("order", [1, 2, 3, 6, 20, 32])
-def test_agrees_with_the_light_evaluated_at_the_directions_turned_back(order, dtype):
+def test_agrees_with_the_light_evaluated_at_the_directions_turned_back(order, dtype, rotate):
     rotation, light = turns(3, dtype), lights(3, order * order, 3, dtype=dtype)
     directions, _ = sh.fibonacci(200)
-    turned = sh.evaluate(sh.rotate(light, rotation).double(), directions)
+    turned = sh.evaluate(rotate(light, rotation).double(), directions)
     back = directions @ rotation.double()
     expected = torch.stack([sh.evaluate(l, d) for l, d in zip(light.double(), back, strict=True)])
     # Random coefficients: values of size order; the basis loses another factor of order.
@@ -94,19 +102,51 @@ def test_the_bands_are_the_blocks_of_the_matrix(order):
 @pytest.mark.parametrize(
     ("left", "right"), [((), ()), ((4,), ()), ((), (4,)), ((4,), (4,)), ((5, 1), (4,)), ((1,), (4,))]
 )
-def test_leading_dimensions_broadcast(order, left, right):
+def test_leading_dimensions_broadcast(order, left, right, rotate):
     light = lights(*left, order * order, 2)
     rotation = turns(max(1, math.prod(right))).reshape(*right, 3, 3)
     expected = sh.rotation_matrix(rotation, order) @ light
-    torch.testing.assert_close(sh.rotate(light, rotation), expected, atol=1e-13, rtol=0)
+    torch.testing.assert_close(rotate(light, rotation), expected, atol=1e-13, rtol=0)
 
 
 def test_the_module_is_the_function_with_constants_as_buffers():
     module = sh.Rotation(6, torch.float64)
-    light, rotation = lights(3, 36, 3), turns(3)
+    light, rotation = lights(3, 36, 3), turns(3).requires_grad_()
     assert torch.equal(module(light, rotation), sh.rotate(light, rotation))
     assert {buffer.dtype for buffer in module.float().buffers()} == {torch.float32}
     assert not module.state_dict()
+
+
+@pytest.mark.parametrize("order", [2, 6, 7])
+def test_gradients_of_the_light_turn_it_back(order):
+    light, rotation = lights(3, order**2, 2).requires_grad_(), turns(3)
+    upstream = lights(3, order**2, 2, seed=5)
+    (gradient,) = torch.autograd.grad(sh.rotate(light, rotation), light, upstream)
+    torch.testing.assert_close(gradient, sh.rotate(upstream, rotation.mT), atol=16 * order * EPS[torch.float64], rtol=0)
+
+
+# torch compiles its own rules of forward derivatives in a way that is going away.
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+def test_forward_derivatives_are_those_of_the_quadrature():
+    light, rotation, change = lights(16, 2), torch.eye(3).double(), lights(3, 3)
+    spin = change - change.mT
+    value, slope = torch.func.jvp(lambda r: sh.rotate(light, r), (rotation,), (spin,))
+    torch.testing.assert_close(value, light, atol=32 * EPS[torch.float64], rtol=0)
+    # Central differences along the turn exp(t spin): the error is of the order of t^2, and of eps / t.
+    ahead, behind = (sh.rotate(light, torch.linalg.matrix_exp(t * spin)) for t in (1e-5, -1e-5))
+    torch.testing.assert_close(slope, (ahead - behind) / 2e-5, atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("turn", [sh.rotate, lambda light, rotation: sh.rotation_matrix(rotation, 19) @ light])
+def test_gradients_after_the_first_use_was_in_inference_mode(turn):
+    light, rotation = lights(19**2, 1, dtype=torch.float32), turns(1, torch.float32)[0]
+    with torch.inference_mode():
+        turn(light, rotation)
+        turn(light, rotation)
+    light.requires_grad_(), rotation.requires_grad_()
+    turn(light, rotation).sum().backward()
+    assert light.grad.isfinite().all()
+    assert rotation.grad.isfinite().all()
 
 
 @pytest.mark.parametrize("start", [torch.eye(3), torch.diag(torch.tensor([1.0, -1.0, -1.0])), turns(1)[0]])
@@ -133,8 +173,6 @@ def test_yaw_pitch_roll_turn_about_the_axes_of_the_conventions():
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e30])
-def test_very_dim_and_very_bright_lights_turn_the_same(scale):
+def test_very_dim_and_very_bright_lights_turn_the_same(scale, rotate):
     light, rotation = lights(36, 3, dtype=torch.float32), turns(1, torch.float32)[0]
-    torch.testing.assert_close(
-        sh.rotate(light * scale, rotation), sh.rotate(light, rotation) * scale, atol=0.0, rtol=1e-3
-    )
+    torch.testing.assert_close(rotate(light * scale, rotation), rotate(light, rotation) * scale, atol=0.0, rtol=1e-3)

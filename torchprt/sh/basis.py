@@ -29,7 +29,7 @@ def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
     along, across = _recurrence(order, directions.dtype, directions.device)
-    build = _in_place if _only_values_are_wanted(directions) else _functional
+    build = _in_place if only_values_are_wanted(directions) else _functional
     components = build(directions.reshape(-1, 3).T.contiguous(), along, across, order)
     return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
 
@@ -101,11 +101,11 @@ def _in_place(xyz: Tensor, along: Tensor, across: Tensor, order: int) -> Tensor:
     return rows
 
 
-def _only_values_are_wanted(directions: Tensor) -> bool:
+def only_values_are_wanted(*arguments: Tensor) -> bool:
     """No graph is traced, no gradient recorded, no torch.func transform active: none of them knows `out=`."""
     return not (
         torch.compiler.is_compiling()
-        or (torch.is_grad_enabled() and directions.requires_grad)
+        or (torch.is_grad_enabled() and any(argument.requires_grad for argument in arguments))
         or torch.autograd.forward_ad._current_level >= 0
         or torch._C._functorch.peek_interpreter_stack() is not None
     )
@@ -133,4 +133,5 @@ def _recurrence_tables(order: int, dtype: torch.dtype, device: torch.device) -> 
     )
 
 
-_cached_recurrence_tables = functools.lru_cache(maxsize=64)(_recurrence_tables)
+# Constants made in inference mode could never serve a gradient later.
+_cached_recurrence_tables = functools.lru_cache(maxsize=64)(torch.inference_mode(False)(_recurrence_tables))

@@ -111,4 +111,5 @@ def _build_coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[T
     )
 
 
-_cached_coupling = functools.lru_cache(maxsize=256)(_build_coupling)
+# Constants made in inference mode could never serve a gradient later.
+_cached_coupling = functools.lru_cache(maxsize=256)(torch.inference_mode(False)(_build_coupling))
