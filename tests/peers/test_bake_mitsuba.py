@@ -19,7 +19,7 @@ from torchprt.trace import Tracer
 
 mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
 ALBEDO = (0.6, 0.5, 0.4)
-VERTICES, DIRECTIONS, AT_ONCE = 300, 8192, 2048
+VERTICES, DIRECTIONS, AT_ONCE = 200, 4096, 2048
 
 
 @pytest.fixture(scope="module")
