@@ -52,6 +52,11 @@ def test_refuses_a_light_that_is_not_square_and_order_zero():
             make(0)
 
 
+def test_refuses_a_light_and_a_rotation_of_different_types(rotate):
+    with pytest.raises(InputError, match="float32 but rotation is torch.float64"):
+        rotate(lights(9, 3, dtype=torch.float32), turns(1))
+
+
 def test_takes_no_lights_and_no_channels(rotate):
     assert rotate(lights(0, 9, 3), turns(1)).shape == (0, 9, 3)
     assert rotate(lights(9, 3), turns(2)[:0]).shape == (0, 9, 3)

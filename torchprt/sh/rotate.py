@@ -24,11 +24,13 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
     faster for many lights of order 6 to 32. Where a graph is traced or a gradient recorded, quadrature of degree
     2(n - 1), as in `Rotation`: a polynomial in the nine numbers of `rotation`, so without gimbal cases.
 
-    Raises InputError if N is not a square number or, outside a traced graph, if `rotation` is not a proper
-    rotation within 1e-4. Inside a graph use `Rotation`, which holds its constants as buffers.
+    Raises InputError if N is not a square number, if the dtypes differ or, outside a traced graph, if `rotation`
+    is not a proper rotation within 1e-4. Inside a graph use `Rotation`, which holds its constants as buffers.
     Source: Sloan, Kautz and Snyder 2002, section 3, equation 4.
     """
     order = order_of(light.shape[-2])
+    if light.dtype != rotation.dtype:
+        raise InputError(f"light is {light.dtype} but rotation is {rotation.dtype}: convert one of them")
     if not torch.compiler.is_compiling():
         check_rotation(rotation)
     if only_values_are_wanted(light, rotation):
