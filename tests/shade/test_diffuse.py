@@ -242,3 +242,10 @@ def test_a_state_dict_moves_a_shader(make_transfer):
 def test_says_what_it_is(make_transfer):
     assert "order=4, channels=1, vertices=25" in repr(shader(make_transfer()))
     assert isinstance(shader(make_transfer()), DiffuseShader)
+
+
+def test_refuses_a_rotation_that_is_a_reflection(make_transfer):
+    shade = shader(make_transfer())
+    light = torch.ones(shade.order**2, 3)
+    with pytest.raises(InputError, match="reflection"):
+        shade(light, -torch.eye(3))

@@ -150,7 +150,8 @@ def _build_neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, 
     )
 
 
-_cached_neighbours = functools.lru_cache(maxsize=16)(_build_neighbours)
+# Constants made in inference mode could never serve a gradient later.
+_cached_neighbours = functools.lru_cache(maxsize=16)(torch.inference_mode(False)(_build_neighbours))
 
 
 def _direction(face: int, s: Tensor, t: Tensor) -> Tensor:

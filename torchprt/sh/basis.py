@@ -103,12 +103,15 @@ def _in_place(xyz: Tensor, along: Tensor, across: Tensor, order: int) -> Tensor:
 
 def only_values_are_wanted(*arguments: Tensor) -> bool:
     """No graph is traced, no gradient recorded, no torch.func transform active: none of them knows `out=`."""
-    return not (
-        torch.compiler.is_compiling()
-        or (torch.is_grad_enabled() and any(argument.requires_grad for argument in arguments))
+    return values_are_at_hand() and not (
+        (torch.is_grad_enabled() and any(argument.requires_grad for argument in arguments))
         or torch.autograd.forward_ad._current_level >= 0
-        or torch._C._functorch.peek_interpreter_stack() is not None
     )
+
+
+def values_are_at_hand() -> bool:
+    """No graph is traced and no torch.func transform active: values may be looked at."""
+    return not torch.compiler.is_compiling() and torch._C._functorch.peek_interpreter_stack() is None
 
 
 def _recurrence(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:

@@ -56,6 +56,7 @@ def product_matrix(a: Float[Tensor, "*B N"], order_in: int, order_out: int) -> F
 
 
 @functools.lru_cache(maxsize=16)
+@torch.inference_mode(False)
 def _gaunt(order_a: int, order_b: int, order_c: int) -> Tensor:
     orders = (order_a, order_b, order_c)
     if min(orders) < 1:
@@ -87,4 +88,5 @@ def _build_tables(
     return table.to(device, dtype).contiguous(), project.to(device, dtype).contiguous()
 
 
-_cached_tables = functools.lru_cache(maxsize=32)(_build_tables)
+# Constants made in inference mode could never serve a gradient later.
+_cached_tables = functools.lru_cache(maxsize=32)(torch.inference_mode(False)(_build_tables))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of
+from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
 
@@ -31,7 +31,7 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
     order = order_of(light.shape[-2])
     if light.dtype != rotation.dtype:
         raise InputError(f"light is {light.dtype} but rotation is {rotation.dtype}: convert one of them")
-    if not torch.compiler.is_compiling():
+    if values_are_at_hand():
         check_rotation(rotation)
     if only_values_are_wanted(light, rotation):
         return turn_by_euler(light, rotation)

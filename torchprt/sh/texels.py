@@ -163,7 +163,8 @@ def _build_cube_table(order: int, size: int, weights: Weights, dtype: torch.dtyp
     return cube_basis(order, size, weights, dtype).to(device)
 
 
-_cached_cube_table = functools.lru_cache(maxsize=4)(_build_cube_table)
+# Constants made in inference mode could never serve a gradient later.
+_cached_cube_table = functools.lru_cache(maxsize=4)(torch.inference_mode(False)(_build_cube_table))
 
 
 @torch.compiler.assume_constant_result
@@ -196,4 +197,4 @@ def _build_latlong_tables(
     )
 
 
-_cached_latlong_tables = functools.lru_cache(maxsize=16)(_build_latlong_tables)
+_cached_latlong_tables = functools.lru_cache(maxsize=16)(torch.inference_mode(False)(_build_latlong_tables))

@@ -128,6 +128,7 @@ def _descend(coefficients: Tensor, start: Tensor, reach: float) -> Tensor:
 
 
 @functools.lru_cache(maxsize=8)
+@torch.inference_mode(False)
 def _search_set(order: int) -> tuple[Tensor, Tensor, Tensor]:
     from scipy.spatial import cKDTree
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.sh import Rotation
+from torchprt.sh import Rotation, rotate
 from torchprt.transfer import DiffuseTransfer
 
 
@@ -68,7 +68,8 @@ class DiffuseShader(nn.Module):
         broadcasts with that of the light. The result is a view with vertices contiguous, not a permuted copy.
         `out`: a former result to write over, for loops that must not allocate; no gradients then.
 
-        Raises InputError if the light is not of the order of the transfer.
+        Raises InputError if the light is not of the order of the transfer, or, outside a traced graph, if
+        `rotation` is not a proper rotation within 1e-4.
         """
         if light.shape[-2] != self.order**2:
             raise InputError(
@@ -76,7 +77,8 @@ class DiffuseShader(nn.Module):
                 f"project the light with order={self.order}"
             )
         if rotation is not None:
-            light = self.turn(light, rotation)
+            # A graph takes its constants from the module; elsewhere the rotation is checked and the fast way taken.
+            light = self.turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)
         albedo = self.albedo
         if albedo.shape[0] == 1:
             # One albedo for all receivers: applied to N numbers instead of V.
