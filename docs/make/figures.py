@@ -1,0 +1,117 @@
+"""The figures of docs/guide.md: what rays, order, bounces and half precision cost on the project's own samples.
+
+    python docs/make/figures.py
+
+Error is RMS relative to the RMS of the reference; time is CPU time, which adds up the threads.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from torchprt import light
+from torchprt.bake import bake
+from torchprt.measure import Table, radiance_error, relative_rms
+from torchprt.scene import Points, Scene, samples
+from torchprt.shade import shader
+from torchprt.transfer import DiffuseTransfer
+
+VERTICES, SAMPLE, REFERENCE_RAYS = 10_000, 400, 1 << 16
+
+
+def at_points(scene: Scene, rows: Tensor, order: int, rays: int, seed: int = 0) -> DiffuseTransfer:
+    """Shadowed transfer at some of the vertices, so that a reference costs seconds."""
+    geometry = scene.geometry()
+    points = Points(geometry.receiver_positions[rows], geometry.receiver_normals[rows], 0.5)
+    return bake(scene, order=order, rays=rays, receivers=points, seed=seed, progress=False)
+
+
+def rays(scene: Scene, rows: Tensor, lamps: Tensor) -> Table:
+    """Error of order-5 transfer by the number of rays, and what the bake itself says of it."""
+    reference = at_points(scene, rows, 5, REFERENCE_RAYS, seed=7)
+    wanted = shader(reference)(lamps)
+    table = Table(f"rays: sculpture of {VERTICES} vertices, order 5, against {REFERENCE_RAYS} rays")
+    for count in (64, 256, 1024, 4096):
+        start = time.process_time()
+        whole = bake(scene, order=5, rays=count, progress=False)
+        seconds = time.process_time() - start
+        few = at_points(scene, rows, 5, count)
+        assert whole.error is not None
+        assert whole.signal is not None
+        extra = {
+            "estimate": f"{whole.error / whole.signal:.2%}",
+            "measured": f"{relative_rms(few.transfer, reference.transfer):.2%}",
+            "radiance": f"{relative_rms(shader(few)(lamps), wanted):.2%}",
+            "CPU s": f"{seconds:.1f}",
+        }
+        table.add(str(count), extra=extra)
+    return table
+
+
+def orders(scene: Scene, rows: Tensor) -> Table:
+    """Error of the picture by the order, for a broad and a small lamp."""
+    highest = 16
+    reference = at_points(scene, rows, highest, 1 << 13)
+    lamps = {
+        "studio": light.project(light.studio(256), highest).float(),
+        "disc of 30 degrees": light.disc((0.5, 1.0, 0.4), math.radians(30), 1.0, highest).float(),
+        "disc of 5 degrees": light.disc((0.5, 1.0, 0.4), math.radians(5), 1.0, highest).float(),
+    }
+    table = Table(f"order: relative RMS error of radiance against order {highest}")
+    for order in (2, 3, 4, 5, 6, 8):
+        lower = reference.to_order(order)
+        errors = {name: f"{radiance_error(lower, reference, each).relative_rms:.1%}" for name, each in lamps.items()}
+        table.add(str(order), extra={**errors, "bytes a vertex": 4 * order**2})
+    return table
+
+
+def bounces() -> Table:
+    """Radiance that is still missing after each bounce, in a bright box and on the sculpture."""
+    lamps = (light.disc((0.25, 0.5, 1.0), math.radians(25), 1.6, 5) + light.constant(0.1, 5)).float()
+    table = Table("bounces: relative RMS error of radiance against following light until it is spent")
+    scenes = {"coloured box": samples.coloured_box(24), "sculpture, albedo .6": samples.organic(VERTICES, albedo=0.6)}
+    counts = (0, 1, 2, 3, 5)
+    columns: dict[int, dict[str, str]] = {count: {} for count in counts}
+    for name, scene in scenes.items():
+        whole = shader(bake(scene, rays=512, bounces=math.inf, progress=False))(lamps)
+        for count in counts:
+            part = shader(bake(scene, rays=512, bounces=count, progress=False))(lamps)
+            columns[count][name] = f"{relative_rms(part, whole):.1%}"
+    for count in counts:
+        table.add(str(count), extra=columns[count])
+    return table
+
+
+def halves(scene: Scene, rows: Tensor, lamps: Tensor) -> Table:
+    reference = at_points(scene, rows, 5, 1024)
+    table = Table("storage: relative RMS error of radiance against float32")
+    for dtype in (torch.float16, torch.bfloat16):
+        error = radiance_error(reference.to(dtype), reference, lamps)
+        table.add(str(dtype).removeprefix("torch."), extra={"error": f"{error.relative_rms:.1e}"})
+    return table
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    console = Console(width=110)
+    scene = samples.organic(VERTICES)
+    vertices = len(scene.geometry().receiver_positions)
+    rows = torch.randperm(vertices, generator=torch.Generator().manual_seed(0))[:SAMPLE]
+    lamps = light.project(light.studio(256), 5).float()
+    makers = (
+        lambda: rays(scene, rows, lamps),
+        lambda: orders(scene, rows),
+        bounces,
+        lambda: halves(scene, rows, lamps),
+    )
+    for make in makers:
+        console.print(make())
+
+
+if __name__ == "__main__":
+    main()

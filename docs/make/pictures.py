@@ -1,0 +1,223 @@
+"""Makes every picture of the documentation from the project itself.
+
+    python docs/make/pictures.py [NAME ...]
+
+All of them without a name. The same pixels every time, as long as the versions of matplotlib and Embree are the same.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import torch
+from PIL import Image
+from torch import Tensor
+
+from torchprt import demo, light, preview, sh
+from torchprt.bake import bake
+from torchprt.scene import Material, Mesh, Object, Scene, make_mesh, samples
+from torchprt.shade import display, shader
+from torchprt.transfer import DiffuseTransfer
+
+FOLDER = Path(__file__).parents[1] / "images"
+EXPOSURE = -2.2
+WARM, COOL = "#d1495b", "#30638e"
+
+
+def ground(squares: int = 110, half: float = 2.3) -> Mesh:
+    """A square sheet at y = 0, facing up."""
+    ticks = torch.linspace(-half, half, squares + 1, dtype=torch.float64)
+    z, x = torch.meshgrid(ticks, ticks, indexing="ij")
+    corner = (torch.arange(squares)[:, None] * (squares + 1) + torch.arange(squares)).reshape(-1)
+    quads = torch.stack([corner, corner + squares + 1, corner + squares + 2, corner + 1], -1)
+    faces = torch.cat([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return make_mesh(torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3), faces, name="ground")
+
+
+@functools.cache
+def stage() -> Scene:
+    """The sculpture of the samples on a coloured ground."""
+    sculpture = samples.organic(40_000).objects[0].mesh
+    return Scene([Object(sculpture, Material(0.7)), Object(ground(), Material((0.75, 0.22, 0.07)))])
+
+
+@functools.cache
+def staged(bounces: int) -> DiffuseTransfer:
+    return bake(stage(), rays=1024, bounces=bounces, progress=False)
+
+
+def still(transfer: DiffuseTransfer, size: tuple[int, int]) -> preview.Still:
+    # The camera frames the sculpture, not the ground that goes on behind it.
+    shape = stage().objects[0].mesh.positions
+    camera = preview.frame(shape, (0.35, 0.45, 1.0), aspect=size[0] / size[1])
+    return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3)
+
+
+def shaded(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
+    with torch.no_grad():
+        return shader(transfer)(lamps)
+
+
+def turning() -> Tensor:
+    """Three turns of an environment around the stage, each with the turned photograph."""
+    environment = light.studio(256)
+    transfer = staged(3)
+    lamps = light.project(environment, transfer.order)
+    seen = still(transfer, (420, 380))
+    small = torch.nn.functional.avg_pool2d(environment.movedim(-1, 0), 3).movedim(0, -1)
+    pictures, labels = [], []
+    for yaw in (-20, 100, 220):
+        turned = sh.rotate(lamps, sh.yaw_pitch_roll(torch.tensor([float(yaw), 0.0, 0.0])))
+        picture = seen.picture(shaded(transfer, turned), exposure=EXPOSURE)
+        inset = torch.roll(small, -round(small.shape[1] * yaw / 360), dims=1)
+        picture[-inset.shape[0] :, : inset.shape[1]] = display(inset, exposure=EXPOSURE)
+        pictures.append(picture)
+        labels.append(f"environment turned by {yaw} degrees")
+    return preview.sheet(pictures, labels, columns=3)
+
+
+def transport() -> Tensor:
+    """The stage unshadowed, shadowed and interreflected."""
+    lamps = light.project(light.studio(256), 5)
+    bakes = {
+        "unshadowed": bake(stage(), shadows=False, progress=False),
+        "shadowed": staged(0),
+        "interreflected, 3 bounces": staged(3),
+    }
+    seen = still(staged(0), (420, 380))
+    pictures = [seen.picture(shaded(each, lamps), exposure=EXPOSURE) for each in bakes.values()]
+    return preview.sheet(pictures, list(bakes), columns=3)
+
+
+def ringing() -> Tensor:
+    """A small lamp at order 5 under each window: the light it becomes, and the shadow it casts."""
+    order, direction = 5, (0.35, 1.0, 0.2)
+    transfer = bake(samples.plane_and_blocker(128), order=order, rays=2048, progress=False)
+    camera = preview.frame(transfer.positions, (0.0, 1.0, 0.35), aspect=1.0)
+    seen = preview.Still(transfer.positions, transfer.faces, size=(240, 240), camera=camera)
+    lamp = light.disc(direction, math.radians(5), 1.0, order, normalise=True).float()
+    single = {"dtype": torch.float32}
+    windowed = {
+        "no window": lamp,
+        "Lanczos": sh.window(lamp, sh.lanczos(order, **single)),
+        "Hann": sh.window(lamp, sh.hann(order, **single)),
+        "auto": sh.least_window(lamp)[0],
+    }
+    table = sh.basis(sh.latlong_directions(120, 240, dtype=torch.float32), order)
+    peak = float((table @ lamp).max())
+    lights, shadows, labels = [], [], []
+    for name, each in windowed.items():
+        value = (table @ each)[..., 0] / peak
+        above, below = value.clamp(min=0), -5 * value.clamp(max=0)
+        lights.append(display(torch.stack([above, above, above + below], -1), tone="none"))
+        shadows.append(seen.picture(shaded(transfer, each), tone="none", exposure=0.5))
+        labels.append(f"{name}: least {round(100 * float(value.min()))} % of the peak")
+    return torch.cat([preview.sheet(lights, labels, 4), preview.sheet(shadows, list(windowed), 4)])
+
+
+def lamp() -> plt.Figure:
+    """A lamp toward (+x, a little up, a little front), as latitude-longitude map and as cube."""
+    lamps = {
+        "+x": ((1, 0.25, 0.3), (1.0, 0.25, 0.2)),
+        "+y": ((0.1, 1, 0), (0.9, 0.8, 0.2)),
+        "-z": ((0, 0, -1), (0.2, 0.5, 1.0)),
+    }
+
+    def scene(directions: Tensor) -> Tensor:
+        directions = torch.nn.functional.normalize(directions.float(), dim=-1)
+        picture = torch.full(directions.shape, 0.12)
+        picture[directions[..., 1] < 0] = 0.04
+        for middle, colour in lamps.values():
+            axis = torch.nn.functional.normalize(torch.tensor([float(v) for v in middle]), dim=0)
+            picture[directions @ axis > math.cos(math.radians(14))] = torch.tensor(colour)
+        return picture
+
+    figure = plt.figure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    left.imshow(display(scene(sh.latlong_directions(180, 360)), tone="none"), extent=(0, 360, 180, 0))
+    left.set_xticks([0, 90, 180, 270, 360], ["+z", "-x", "-z", "+x", "+z"])
+    left.set_yticks([0, 90, 180], ["+y", "horizon", "-y"])
+    left.set_title("latitude-longitude [H, 2H, 3]: row 0 is up, the middle looks along -z", fontsize=10)
+    faces = display(scene(sh.cube_directions(90)), tone="none")
+    # The unfolded cross as it is usually drawn; each face as it lies in memory.
+    places = {"+x": (1, 2), "-x": (1, 0), "+y": (0, 1), "-y": (2, 1), "+z": (1, 1), "-z": (1, 3)}
+    cross = torch.ones(3 * 90, 4 * 90, 3)
+    for number, (name, (row, column)) in enumerate(places.items()):
+        cross[90 * row : 90 * row + 90, 90 * column : 90 * column + 90] = faces[number]
+        right.text(90 * column + 5, 90 * row + 14, f"{number}: {name}", color="white", fontsize=9)
+    right.imshow(cross)
+    right.axis("off")
+    right.set_title("cube map [6, H, W, 3]: each face as it lies in memory", fontsize=10)
+    return figure
+
+
+def basis() -> plt.Figure:
+    """|y_lm| as lobes, order 3, on the axes; warm where positive, cool where negative."""
+    # matplotlib shades a face by its first corners, which must not all be the pole.
+    theta = torch.linspace(0.01, math.pi - 0.01, 61, dtype=torch.float64)
+    phi = torch.linspace(0, 2 * math.pi, 91, dtype=torch.float64)
+    t, p = torch.meshgrid(theta, phi, indexing="ij")
+    directions = torch.stack([t.sin() * p.cos(), t.sin() * p.sin(), t.cos()], -1)
+    values = sh.basis(directions, 3)
+    figure = plt.figure(figsize=(11, 7.2))
+    names = ["", "-y", "+z", "-x", "+xy", "-yz", "3z²-1", "-xz", "x²-y²"]
+    for index in range(9):
+        band = math.isqrt(index)
+        m = index - band * (band + 1)
+        plot = figure.add_subplot(3, 5, 5 * band + 3 + m, projection="3d")
+        lobe = values[..., index].abs()[..., None] * directions
+        # y is up in the world, and matplotlib's third axis is up on the page.
+        x, y, z = lobe.unbind(-1)
+        positive = values[..., index] >= 0
+        colours = [[WARM if one else COOL for one in row] for row in positive[:-1, :-1].tolist()]
+        plot.plot_surface(z, x, y, facecolors=colours, rstride=1, cstride=1, linewidth=0, antialiased=False)
+        reach = 0.7
+        for axis, name in (((1, 0, 0), "z"), ((0, 1, 0), "x"), ((0, 0, 1), "y")):
+            plot.plot(*[(-reach * v, reach * v) for v in axis], color="#888888", linewidth=0.8)
+            plot.text(*[1.12 * reach * v for v in axis], name, fontsize=9, ha="center", va="center")
+        plot.set(xlim=(-0.6, 0.6), ylim=(-0.6, 0.6), zlim=(-0.6, 0.6))
+        plot.set_box_aspect((1, 1, 1), zoom=1.2)
+        plot.view_init(elev=22, azim=35)
+        plot.set_axis_off()
+        title = f"{index}: $y_{{{band},{m}}}$" + (f"  ({names[index]})" if names[index] else "")
+        plot.text2D(0.5, -0.02, title, fontsize=10, ha="center", transform=plot.transAxes)
+    figure.subplots_adjust(left=0, right=1, top=0.98, bottom=0.05, wspace=0, hspace=0.1)
+    return figure
+
+
+PICTURES = {
+    "turning": turning,
+    "transport": transport,
+    "bleeding": demo.bleeding,
+    "orders": demo.orders,
+    "ringing": ringing,
+    "basis": basis,
+    "lamp": lamp,
+}
+
+
+def main(names: list[str]) -> None:
+    unknown = sorted(set(names) - set(PICTURES))
+    if unknown:
+        sys.exit(f"there is no picture {unknown[0]}: choose from {' '.join(PICTURES)}")
+    FOLDER.mkdir(exist_ok=True)
+    for name in names or PICTURES:
+        path, picture = FOLDER / f"{name}.png", PICTURES[name]()
+        if isinstance(picture, Tensor):
+            preview.save_png(picture, path)
+        else:
+            picture.savefig(path, dpi=100, metadata={"Software": None})
+            plt.close(picture)
+        Image.open(path).convert("RGB").save(path, optimize=True)
+        print(f"{path}: {path.stat().st_size / 1024:.0f} kB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,176 @@
+"""Writes docs/reference.md: every public name of every room, from its signature and docstring.
+
+python docs/make/reference.py            writes the file
+python docs/make/reference.py --check    fails if the file is not what it would write
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import functools
+import importlib
+import inspect
+import itertools
+import re
+import sys
+import textwrap
+import types
+from pathlib import Path
+
+from torch import nn
+
+ROOMS = ("sh", "transfer", "light", "trace", "scene", "scene.samples", "shade", "bake", "onnx", "preview", "measure")
+PATH = Path(__file__).parents[1] / "reference.md"
+HEADER = """# Reference
+
+Every public name, room by room. Written by `scripts/docs reference` from signatures and docstrings: do not edit.
+Shape letters and the axes are those of [conventions.md](conventions.md). `import torchprt as prt` also offers
+{shortcuts} directly.
+"""
+
+
+@functools.cache
+def source_text(module: str) -> str:
+    return Path(inspect.getsourcefile(sys.modules[module]) or "").read_text(encoding="utf-8")
+
+
+def signature(thing: object, name: str) -> str:
+    """As it stands in the source, on one line: the annotations there are shorter than what Python makes of them."""
+    owner = thing.__init__ if inspect.isclass(thing) else thing  # type: ignore[misc]
+    try:
+        lines = inspect.getsource(inspect.unwrap(owner))  # type: ignore[arg-type]
+    except (OSError, TypeError):
+        return name
+    found = re.search(r"def \w+(\(.*?\)(?: -> .*?)?):\s*(?:#.*|\.\.\.)?\n", lines, re.DOTALL)
+    if not found:
+        return name
+    text = inspect.cleandoc("\n" + indented(found[0])).removeprefix("def ").removesuffix(":")
+    text = re.sub(r"^\w+", name, text.removesuffix(" -> None"), count=1)
+    return text.replace("(self, ", "(").replace("(self)", "()").replace("\n    self,", "")
+
+
+def indented(definition: str) -> str:
+    """The lines of a definition up to its colon; a method stands further right than its first line shows."""
+    lines = re.sub(r":\s*(?:#.*|\.\.\.)?$", ":", definition.rstrip()).split("\n")
+    margin = len(lines[-1]) - len(lines[-1].lstrip()) if len(lines) > 1 else 0
+    return "\n".join([" " * margin + lines[0].lstrip(), *lines[1:]])
+
+
+def fields(kind: type) -> list[tuple[str, str]]:
+    """The fields of a dataclass as they are written, each with the string below it."""
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(definition, ast.ClassDef)
+    found = []
+    for line, after in itertools.pairwise([*definition.body, ast.Pass()]):
+        if isinstance(line, ast.AnnAssign) and "ClassVar" not in ast.unparse(line.annotation):
+            below = after.value if isinstance(after, ast.Expr) else None
+            comment = below.value if isinstance(below, ast.Constant) and isinstance(below.value, str) else ""
+            text = ast.unparse(line).replace("'", '"')
+            found.append((re.sub(r"field\(default_factory=(\w+)\)", r"\1()", text), inspect.cleandoc(comment)))
+    return found
+
+
+def constructor(kind: type) -> str:
+    arguments = [text for text, _ in fields(kind)]
+    line = f"{kind.__name__}({', '.join(arguments)})"
+    return line if len(line) <= 110 else f"{kind.__name__}(\n    " + ",\n    ".join(arguments) + ",\n)"
+
+
+def docstring(thing: object) -> str:
+    return inspect.cleandoc(thing.__doc__) if isinstance(thing.__doc__, str) else ""
+
+
+def constant_comment(module: types.ModuleType, name: str) -> str:
+    """What stands beside a constant: the comment above it or the string below it."""
+    for candidate in sys.modules.values():
+        if not getattr(candidate, "__name__", "").startswith(module.__name__ + "."):
+            continue
+        text = source_text(candidate.__name__)
+        below = re.search(rf'^{name}\b.*\n"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
+        above = re.search(rf"((?:^#.*\n)+)^{name}\b[^\n]*=", text, re.MULTILINE)
+        if below:
+            return below[1]
+        if above:
+            return " ".join(line.lstrip("# ") for line in above[1].splitlines())
+    return ""
+
+
+def methods(kind: type) -> list[str]:
+    entries = []
+    for name, member in vars(kind).items():
+        if name.startswith("_") or name in ("extra_repr",):
+            continue
+        if isinstance(member, property):
+            entries.append(f"- `.{name}`: {docstring(member)}".removesuffix(": "))
+        elif inspect.isfunction(member):
+            call = " ".join(signature(member, "." + name).split()).replace("( ", "(").replace(", )", ")")
+            entries.append(f"- `{call}`: {docstring(member)}".rstrip(": "))
+    return [entry.replace("\n\n", "\n").replace("\n", "\n  ") for entry in entries]
+
+
+def entry(module: types.ModuleType, name: str) -> str:
+    thing = getattr(module, name)
+    if inspect.isclass(thing) and thing.__name__ != name:
+        return f"### `{module.__name__}.{name}`\n\nAn alias: every kind of transfer, so far `{thing.__name__}`."
+    parts = [f"### `{module.__name__}.{name}`"]
+    if inspect.isclass(thing):
+        if dataclasses.is_dataclass(thing) and "__init__" in thing.__dict__ and not _own_init(thing):
+            parts.append(f"```python\n{constructor(thing)}\n```")
+        elif "__init__" in thing.__dict__:
+            parts.append(f"```python\n{signature(thing, name)}\n```")
+        parts.append(docstring(thing))
+        if dataclasses.is_dataclass(thing):
+            told = [f"- `{text.split(':')[0]}`: {comment}" for text, comment in fields(thing) if comment]
+            parts += ["\n".join(told).replace("\n", "\n  ").replace("\n  - ", "\n- ")] if told else []
+        parts += ["\n".join(methods(thing))] if methods(thing) else []
+        if issubclass(thing, nn.Module) and not methods(thing):
+            parts.append(f"```python\n{signature(thing.forward, '.forward')}\n```")
+    elif inspect.isfunction(thing) or hasattr(thing, "__wrapped__"):
+        parts += [f"```python\n{signature(thing, name)}\n```", docstring(thing)]
+    elif isinstance(thing, types.ModuleType):
+        parts.append(docstring(thing))
+    elif isinstance(thing, (int, float)):
+        parts += [f"`{name} = {thing!r}`", constant_comment(module, name)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _own_init(kind: type) -> bool:
+    return "__init__" in re.findall(r"def (\w+)", inspect.getsource(kind))
+
+
+def public(room: str) -> list[str]:
+    return sorted(importlib.import_module(f"torchprt.{room}").__all__, key=str.lower)
+
+
+def document() -> str:
+    import torchprt
+
+    rooms = [room for room in torchprt.__all__ if isinstance(getattr(torchprt, room), types.ModuleType)]
+    others = ", ".join(f"`{name}`" for name in torchprt.__all__ if name not in rooms)
+    pages = [HEADER.format(shortcuts=others)]
+    contents = []
+    for room in ROOMS:
+        module = importlib.import_module(f"torchprt.{room}")
+        contents.append(
+            f"- [{module.__name__}](#{module.__name__.replace('.', '')}): {docstring(module).splitlines()[0]}"
+        )
+    pages.append("\n".join(contents))
+    for room in ROOMS:
+        module = importlib.import_module(f"torchprt.{room}")
+        pages.append(f"## {module.__name__}\n\n{docstring(module)}")
+        pages += [entry(module, name) for name in public(room)]
+    return "\n\n".join(page.strip() for page in pages) + "\n"
+
+
+def main(arguments: list[str]) -> None:
+    text = document()
+    if "--check" in arguments:
+        if not PATH.is_file() or PATH.read_text(encoding="utf-8") != text:
+            sys.exit(f"{PATH} is not what the docstrings say: run python docs/make/reference.py")
+        return
+    PATH.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
