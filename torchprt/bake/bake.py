@@ -61,7 +61,7 @@ def bake(
     Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
     `threads` and after any interruption; a receiver that nothing blocks has exactly the unshadowed transfer; the
     result does not depend on the scale of the scene or on its distance from the origin.
-    The error estimate comes from a spread of receivers traced again with 16 times the rays.
+    The error estimate comes from a spread of receivers traced again with 8 times the rays.
     Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces)
     and, a thread, `72 * max(2^16, rays)` bytes of rays and `1024 (8 N + 36)` of results; with bounces at most
     `24 * 1024 * rays` more for the hits of one chunk. The hits of all others wait on disk (in the checkpoint, or in

@@ -17,8 +17,8 @@ from torchprt.trace import Hits, Tracer
 class Gather:
     """Sparse rows `G [v, V]`: how much of the exit radiance of receiver q arrives at p, cosine and 1/pi included.
 
-    `S = v + 1`. Entries of row p are `offsets[p]` to `offsets[p + 1]`: `sources` q and `weights`. int32 both, because the product
-    is ten times faster with them than with int64.
+    `S = v + 1`: entries of row p are `offsets[p]` to `offsets[p + 1]` of `sources` q and `weights`. Indices are
+    int32, because the product is ten times faster with them than with int64.
     """
 
     offsets: Int[Tensor, "S"]

@@ -73,15 +73,21 @@ def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:
 
 def _around_vertices(geometry: Geometry) -> tuple[Float[Tensor, "Vall"], Float[Tensor, "Vall 3"]]:
     """Longest extent of the faces at each vertex, and the mean direction to their middles (short unless at an edge)."""
-    corners = geometry.positions[geometry.faces]
-    extent = (corners.amax(1) - corners.amin(1)).amax(-1)
-    at = geometry.faces.flatten()
+    # Axis by axis: at a million vertices the corners of all faces at once would weigh as much as the transfer.
+    extent = torch.zeros(len(geometry.faces), dtype=torch.float64)
+    for axis in geometry.positions.unbind(-1):
+        corners = axis[geometry.faces]
+        torch.maximum(extent, corners.amax(1) - corners.amin(1), out=extent)
     size = torch.zeros(len(geometry.positions), dtype=torch.float64)
-    size = size.scatter_reduce(0, at, extent.repeat_interleave(3), "amax")
-    to_middle = torch.nn.functional.normalize(corners.mean(1, keepdim=True) - corners, dim=-1).view(-1, 3)
-    total = torch.zeros_like(geometry.positions).index_add(0, at, to_middle)
-    count = torch.bincount(at, minlength=len(total)).clamp(min=1)
-    return size, total / count[:, None]
+    total, count = torch.zeros_like(geometry.positions), torch.zeros_like(size)
+    first, second, third = (geometry.positions[corner] for corner in geometry.faces.unbind(-1))
+    middle = (first + second + third) / 3
+    for corner in geometry.faces.unbind(-1):
+        size = size.scatter_reduce(0, corner, extent, "amax")
+        to_middle = torch.nn.functional.normalize(middle - geometry.positions[corner], dim=-1)
+        total.index_add_(0, corner, to_middle)
+        count.index_add_(0, corner, torch.ones_like(extent))
+    return size, total / count.clamp(min=1)[:, None]
 
 
 def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]) -> Float[Tensor, "V W"]:
