@@ -23,7 +23,7 @@ def error_and_signal(
     """RMS error of a coefficient, from a spread of receivers, and RMS of a coefficient over all receivers.
 
     8 times the rays leave about a fifth of the error, which makes the estimate two percent too large; the chance of
-    the sample is more, some ten percent. With bounces it holds the last gather; earlier ones share the same relative error.
+    the sample is more, some ten percent. With bounces it is of the last gather; earlier ones err alike.
     None, None if no receiver has a normal.
     """
     alive = torch.nonzero(job.receivers.normals.abs().sum(-1) > 0)[:, 0]
