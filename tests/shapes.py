@@ -35,7 +35,7 @@ def disc(radius, height, segments=256):
     return make_mesh(positions, faces, name="disc")
 
 
-def bowl(opening, rings=48, segments=96):
+def bowl(opening, rings=32, segments=64):
     """The inside of a unit sphere without the cap within `opening` (radians) of +y, and the area of the cap over that
     of the sphere. Each point of it sees equal areas equally, so its light has a closed form."""
     theta = torch.linspace(opening, math.pi, rings, dtype=torch.float64)
