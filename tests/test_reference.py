@@ -1,0 +1,30 @@
+"""Does the reference hold every public name, as it is?"""
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "torchprt"
+ROOMS = sorted(path.parent.relative_to(PACKAGE).as_posix().replace("/", ".") for path in PACKAGE.rglob("*/__init__.py"))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_public_name_has_a_docstring_and_stands_in_the_reference(room):
+    module = importlib.import_module(f"torchprt.{room}")
+    page = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    headed = set(re.findall(rf"^### `torchprt\.{re.escape(room)}\.(\w+)`$", page, re.MULTILINE))
+    assert headed == set(module.__all__)
+    bare = [name for name in module.__all__ if callable(thing := getattr(module, name)) and not thing.__doc__]
+    assert not bare
+
+
+def test_the_reference_says_what_the_docstrings_say():
+    done = subprocess.run(
+        [sys.executable, "docs/make/reference.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
