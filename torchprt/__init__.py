@@ -17,7 +17,6 @@ from .errors import InputError as InputError
 from .version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from .bake import bake as bake
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from . import sh as sh
     from . import shade as shade
     from . import transfer as transfer
+    from .bake import bake as bake
 
 _ROOMS = ("bake", "light", "measure", "onnx", "preview", "scene", "sh", "shade", "trace", "transfer")
 _NAMES = {

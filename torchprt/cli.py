@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -19,31 +20,38 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 
+# Edge of a picture in pixels: its rays take 200 bytes each.
+LARGEST = 4096
+WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+
 Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
 
 
 def main() -> None:
     """Runs the command. Faults of the input are one sentence on standard error and exit code 2."""
-    try:
-        app()
-    except InputError as fault:
-        print(f"torchprt: {fault}", file=sys.stderr)
-        sys.exit(2)
+    with warnings.catch_warnings():
+        # Without the file and the line of the code that warns.
+        warnings.showwarning = lambda message, *_, **__: _complain(message)
+        try:
+            app()
+        except InputError as fault:
+            _complain(fault)
+            sys.exit(2)
 
 
 @app.command()
 def bake(
     mesh: Annotated[list[Path], typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off")],
     output: Output,
-    order: Annotated[int, typer.Option(help="SH bands of the light that it will answer to.")] = 5,
-    rays: Annotated[int, typer.Option(help="Rays a vertex, over its hemisphere.")] = 1024,
+    order: Annotated[int, typer.Option(min=1, max=64, help="SH bands of the light that it will answer to.")] = 5,
+    rays: Annotated[int, typer.Option(min=1, max=1 << 22, help="Rays a vertex, over its hemisphere.")] = 1024,
     bounces: Annotated[str, typer.Option(help="How often light is reflected on: 0, 1, 2, ... or inf.")] = "0",
     albedo: Annotated[str, typer.Option(help="0.5, or r,g,b, or vertex for the colours in the file.")] = "0.5",
     two_sided: Annotated[bool, typer.Option("--two-sided", help="Surfaces reflect with both sides.")] = False,
     blocker: Annotated[list[Path] | None, typer.Option(help="A mesh that only casts shadows (repeatable).")] = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
-    seed: Annotated[int, typer.Option(help="Turns the set of directions.")] = 0,
-    threads: Annotated[int | None, typer.Option(help="As many as there are cores by default.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Turns the set of directions.")] = 0,
+    threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
@@ -71,7 +79,8 @@ def bake(
             checkpoint=None if unshadowed else folder,
         )
     except KeyboardInterrupt:
-        print(f"torchprt: stopped; {folder} keeps what is done, the same command goes on from there", file=sys.stderr)
+        kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
+        _complain(f"stopped{kept}")
         raise typer.Exit(130) from None
     if half:
         transfer = transfer.to(torch.float16)
@@ -101,14 +110,15 @@ def shade(
 
     check_writable(output, (".npy", ".ply", ".png"))
     turn = sh.yaw_pitch_roll(torch.tensor(_numbers(rotate, 3, "--rotate"), dtype=torch.float64)).float()
-    toward = _numbers(view, 3, "--view")
+    camera = _view(view), _size(size)
+    _check_choices(window=window, tone=tone, exposure=exposure)
     loaded = prt.load_transfer(transfer)
     coefficients = _window(_light(light, loaded.order, repair), window)
     with torch.no_grad():
         radiance = prt.shader(loaded)(coefficients, turn).float()
     dark = int((loaded.normals.abs().sum(-1) == 0).sum())
     if dark:
-        _say(f"{dark} vertices have no normal and read 0")
+        _say(f"{dark} of {len(radiance)} vertices have no normal and read 0")
     negative = int((radiance < 0).any(-1).sum())
     if negative:
         _say(
@@ -116,13 +126,14 @@ def shade(
             "the light rings at this order, --window auto takes that away"
         )
     if output.suffix.lower() == ".npy":
-        with atomic(output) as temporary:
-            np.save(temporary, radiance.numpy())
+        with atomic(output) as temporary, temporary.open("wb") as stream:
+            np.save(stream, radiance.contiguous().numpy())
     elif output.suffix.lower() == ".ply":
         preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, exposure, tone), output)
     else:
-        camera = preview.frame(loaded.positions, (toward[0], toward[1], toward[2]), aspect=_aspect(size))
-        still = preview.Still(loaded.positions, loaded.faces, size=_size(size), camera=camera)
+        toward, (width, height) = camera
+        framed = preview.frame(loaded.positions, toward, aspect=width / height)
+        still = preview.Still(loaded.positions, loaded.faces, size=(width, height), camera=framed)
         preview.save_png(still.picture(radiance, exposure=exposure, tone=preview.tone_map(tone)), output)
     _say(f"{output}: {len(radiance)} vertices, mean radiance {_triple(radiance.mean(0))}")
 
@@ -131,15 +142,13 @@ def shade(
 def light(
     image: Annotated[Path, typer.Argument(help="Latitude-longitude environment: .exr .hdr .png .jpg .tif")],
     output: Annotated[Path, typer.Option("-o", "--output", help=".npy of [order^2, 3] coefficients.")],
-    order: Annotated[int, typer.Option(help="SH bands.")] = 5,
+    order: Annotated[int, typer.Option(min=1, max=64, help="SH bands.")] = 5,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
     """Project an environment image to a light."""
     from torchprt.light import write_coefficients
 
     check_writable(output, (".npy",))
-    if not 1 <= order <= 64:
-        raise InputError(f"order is {order}: give a number from 1 to 64")
     coefficients = _light(image, order, repair)
     write_coefficients(coefficients, output)
     _say(f"{output}: order {order}, mean radiance {_triple(coefficients[0] / math.sqrt(4 * math.pi))}")
@@ -158,7 +167,8 @@ def export(
     check_writable(output, (".onnx",))
     if source not in ("light", "environment"):
         raise InputError(f"--from is '{source}': give light or environment")
-    report = prt.onnx.export(prt.load_transfer(transfer), output, source=source, size=size)
+    kind: Literal["light", "environment"] = "light" if source == "light" else "environment"
+    report = prt.onnx.export(prt.load_transfer(transfer), output, source=kind, size=size)
     _say(report)
     if report.parity is not None:
         _say(report.parity)
@@ -203,7 +213,11 @@ def _say(what: Any) -> None:
     print(what, flush=True)
 
 
-def _bounces(text: str) -> float:
+def _complain(what: Any) -> None:
+    print(f"torchprt: {what}", file=sys.stderr, flush=True)
+
+
+def _bounces(text: str) -> int | float:
     if text == "inf":
         return math.inf
     try:
@@ -235,14 +249,25 @@ def _numbers(text: str, count: int | None, option: str) -> list[float]:
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
-        raise InputError(f"--size is '{text}': give WIDTHxHEIGHT in pixels, up to 16384x16384")
+    if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= LARGEST and 1 <= int(height) <= LARGEST):
+        raise InputError(f"--size is '{text}': give WIDTHxHEIGHT in pixels, up to {LARGEST}x{LARGEST}")
     return int(width), int(height)
 
 
-def _aspect(text: str) -> float:
-    width, height = _size(text)
-    return width / height
+def _view(text: str) -> tuple[float, float, float]:
+    x, y, z = _numbers(text, 3, "--view")
+    if not (x or y or z):
+        raise InputError(f"--view is '{text}': give a direction, at least one number other than 0")
+    return x, y, z
+
+
+def _check_choices(window: str, tone: str, exposure: float) -> None:
+    if window not in WINDOWS:
+        raise InputError(f"--window is '{window}': give {', '.join(WINDOWS[:-1])} or {WINDOWS[-1]}")
+    if tone not in ("filmic", "none"):
+        raise InputError(f"--tone is '{tone}': give filmic or none")
+    if not abs(exposure) <= 100:
+        raise InputError(f"--exposure is {exposure}: give stops from -100 to 100")
 
 
 def _light(path: Path, order: int, repair: bool) -> Tensor:
@@ -272,10 +297,8 @@ def _window(coefficients: Tensor, name: str) -> Tensor:
         windowed, factors = sh.least_window(coefficients)
         _say(f"the least window that keeps the light positive leaves {float(factors[-1]):.0%} of the highest band")
         return windowed
-    windows = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}
-    if name not in windows:
-        raise InputError(f"--window is '{name}': give none, hann, lanczos, gauss or auto")
-    return sh.window(coefficients, windows[name](order, dtype=coefficients.dtype))
+    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
+    return sh.window(coefficients, chosen(order, dtype=coefficients.dtype))
 
 
 def _describe(transfer: DiffuseTransfer) -> str:

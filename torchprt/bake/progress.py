@@ -44,13 +44,15 @@ class Bar:
         self._task: TaskID | None = None
 
     def __enter__(self) -> Bar:
-        self._progress.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None):
-        self._progress.stop()
+        # rich ends even a bar that never began with an empty line.
+        if self._task is not None:
+            self._progress.stop()
 
     def start(self, stage: str, total: int, done: int = 0) -> None:
+        self._progress.start()
         self._task = self._progress.add_task(stage, total=total, completed=done)
 
     def advance(self, count: int) -> None:

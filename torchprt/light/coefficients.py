@@ -22,14 +22,17 @@ def read_coefficients(path: str | os.PathLike[str], order: int | None = None) ->
     channels, all finite; and of `order`, if one is given.
     """
     try:
-        values = np.load(path, allow_pickle=False)
+        with open(path, "rb") as stream:
+            values = np.lib.format.read_array(stream, allow_pickle=False)
     except FileNotFoundError as fault:
         raise InputError(f"{path} does not exist: give an image or an .npy of light coefficients") from fault
-    except (OSError, ValueError, EOFError) as fault:
+    except Exception as fault:  # Damaged headers end in exceptions of any kind, MemoryError and TokenError among them.
         raise InputError(f"{path} is not a whole .npy file of numbers: write it with `torchprt light`") from fault
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind not in "fiu":
-        found = f"{values.dtype} {list(values.shape)}" if isinstance(values, np.ndarray) else "an archive"
-        raise InputError(f"{path} holds {found}: a light is numbers [order^2, 3], write it with `torchprt light`")
+    if values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path} holds {values.dtype} {list(values.shape)}: a light is numbers [order^2, 3], "
+            "write it with `torchprt light`"
+        )
     try:
         found_order = order_of(len(values))
     except InputError as fault:
@@ -41,12 +44,15 @@ def read_coefficients(path: str | os.PathLike[str], order: int | None = None) ->
             f"{path} is a light of order {found_order} but the transfer is of order {order}: "
             f"project the light again with --order {order}"
         )
-    if not np.isfinite(values).all():
+    with np.errstate(over="ignore"):
+        single = np.ascontiguousarray(values, dtype=np.float32)
+    if not np.isfinite(single).all():
         raise InputError(f"{path} holds NaN or infinite coefficients: project the light again")
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+    return torch.from_numpy(single)
 
 
 def write_coefficients(light: Float[Tensor, "N 3"], path: str | os.PathLike[str]) -> None:
     """Writes a light as float32 `.npy`. Raises InputError if `path` cannot be written."""
-    with atomic(Path(path)) as temporary:
-        np.save(temporary, light.detach().cpu().to(torch.float32).numpy())
+    # A stream, because numpy puts .npy behind any other suffix.
+    with atomic(Path(path)) as temporary, temporary.open("wb") as stream:
+        np.save(stream, light.detach().cpu().to(torch.float32).numpy())

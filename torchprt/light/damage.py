@@ -124,7 +124,7 @@ def mend(image: Float[Tensor, "H W 3"], name: str, repair: bool) -> tuple[Float[
     if broken.any() and not repair:
         raise InputError(
             f"{name} holds {report.nan} NaN and {report.infinite} infinite values: mend the file, or read it "
-            "with repair=True to replace them by the median of their finite neighbours"
+            "with repair=True (--repair) to replace them by the median of their finite neighbours"
         )
     if broken.reshape(-1, 3).all(0).any():
         raise InputError(f"{name} has a channel without any finite value: get the file again")

@@ -11,6 +11,11 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 
+STEEP = 1e-4
+"""Horizontal part of a direction below which it counts as straight up or down."""
+MARGIN = 0.94
+"""Share of the half picture that a framed model may fill."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -48,15 +53,37 @@ def frame(
     aspect: float = 4 / 3,
     field: float = 35.0,
 ) -> Camera:
-    """The camera in direction `toward` (from the model) that holds the model whole. Raises InputError without points."""
+    """The camera in direction `toward` (from the model) that holds every vertex in a picture `aspect` as wide as high.
+
+    It looks at the middle of the bounding box; straight from above or below, -z is up in the picture.
+    Raises InputError without points, and if `toward` is no direction or `aspect` or `field` leave no picture.
+    """
     if len(positions) == 0:
         raise InputError("there is nothing to look at: the model has no vertices")
+    direction = torch.tensor(toward, dtype=torch.float64)
+    direction = direction / direction.abs().max()
+    if not bool(direction.isfinite().all()):
+        raise InputError(f"toward is {toward}: give a direction, finite and not zero")
+    if not (0 < aspect < math.inf and 0 < field < 180):
+        raise InputError(f"aspect is {aspect} and field {field}: give an aspect above 0, a field between 0 and 180")
+    direction = torch.nn.functional.normalize(direction, dim=0)
+    up = (0.0, 1.0, 0.0) if float(direction[[0, 2]].norm()) > STEEP else (0.0, 0.0, -1.0)
     points = positions.to(torch.float64)
     middle = (points.amin(0) + points.amax(0)) / 2
-    radius = max(float((points - middle).norm(dim=-1).max()), 1e-30)
-    narrow = math.atan(math.tan(math.radians(field) / 2) * min(1.0, aspect))
-    direction = torch.nn.functional.normalize(torch.tensor(toward, dtype=torch.float64), dim=0)
-    eye = middle + direction * (0.92 * radius / math.sin(narrow))
+    eye = middle + direction * _distance(points - middle, direction, torch.tensor(up).double(), aspect, field)
     x, y, z = eye.tolist()
     u, v, w = middle.tolist()
-    return Camera((x, y, z), (u, v, w), field=field)
+    return Camera((x, y, z), (u, v, w), up, field)
+
+
+def _distance(
+    points: Float[Tensor, "V 3"], toward: Float[Tensor, "3"], up: Float[Tensor, "3"], aspect: float, field: float
+) -> float:
+    """From how far a camera that looks at the origin sees all of `points`, with a margin at the frame."""
+    right = torch.nn.functional.normalize(torch.linalg.cross(up, toward), dim=0)
+    above = torch.linalg.cross(toward, right)
+    reach = MARGIN * math.tan(math.radians(field) / 2)
+    beside = torch.maximum((points @ right).abs() / aspect, (points @ above).abs()) / reach
+    radius = float(points.norm(dim=-1).max())
+    # Never so near that the model is around the eye; a single point has no size to measure by.
+    return max(float((points @ toward + beside).max()), 1.1 * radius) or 1.0

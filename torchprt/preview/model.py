@@ -39,9 +39,12 @@ def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, pat
     import trimesh
 
     points = positions.detach().cpu().numpy()
+    model: trimesh.Trimesh | trimesh.PointCloud
     if len(faces):
         model = trimesh.Trimesh(points, faces.cpu().numpy(), vertex_colors=colour.cpu().numpy(), process=False)
     else:
         model = trimesh.PointCloud(points, colors=np.asarray(colour.cpu()))
+    content = model.export(file_type="ply")
+    assert isinstance(content, bytes)
     with atomic(Path(path)) as temporary:
-        temporary.write_bytes(model.export(file_type="ply"))
+        temporary.write_bytes(content)

@@ -25,7 +25,7 @@ class Still:
 
     `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel along each side.
     The camera of `frame` if none is given. Back faces are black: they reflect nothing.
-    Raises InputError if the model has no faces.
+    Raises InputError if the model has no faces or the picture no pixels.
     """
 
     def __init__(
@@ -40,7 +40,9 @@ class Still:
         if len(faces) == 0:
             raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
         width, height = size
-        camera = camera or frame(positions, aspect=width / max(height, 1))
+        if width < 1 or height < 1 or samples < 1:
+            raise InputError(f"size {width}x{height} with {samples} samples has no pixels: give numbers from 1")
+        camera = camera or frame(positions, aspect=width / height)
         tracer = Tracer(positions, faces)
         eye = torch.tensor(camera.eye, dtype=torch.float64)
         hits = tracer.camera(eye, camera.directions(width * samples, height * samples))
@@ -53,12 +55,17 @@ class Still:
             twin = ~front & (reverse[..., 0] >= 0)
             corners, front = torch.where(twin[..., None], reverse, corners), front | twin
         weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1)
+        self._vertices = len(positions)
         self._corners = corners
         self._weights = torch.where((self._seen & front)[..., None], weights, 0)
         self._samples = samples
 
     def radiance(self, vertex_radiance: Float[Tensor, "V 3"], background: float = BACKGROUND) -> Float[Tensor, "H W 3"]:
-        """The picture of linear radiance."""
+        """The picture of linear radiance. Raises InputError unless there is a radiance for every vertex."""
+        if len(vertex_radiance) != self._vertices:
+            raise InputError(
+                f"radiance of {len(vertex_radiance)} vertices for a model of {self._vertices}: give each one"
+            )
         shaded = (vertex_radiance[self._corners] * self._weights[..., None].to(vertex_radiance)).sum(-2)
         picture = torch.where(self._seen[..., None], shaded, background)
         height, width = picture.shape[0] // self._samples, picture.shape[1] // self._samples
@@ -82,11 +89,10 @@ def _reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
     _, place = torch.unique(positions, dim=0, return_inverse=True)
     places, by_place = place[faces.long()].sort(-1)
     _, group = torch.unique(places, dim=0, return_inverse=True)
-    pairs = torch.argsort(group, stable=True)
-    ordered = group[pairs]
-    same = torch.nonzero(ordered[1:] == ordered[:-1])[:, 0]
-    twin = torch.full((len(faces),), -1)
-    twin[pairs[same]], twin[pairs[same + 1]] = pairs[same + 1], pairs[same]
+    # Faces over the same places show opposite sides if their corners run round them in opposite senses.
+    key = 2 * group + ((by_place[:, 1] - by_place[:, 0]) % 3 == 1)
+    face_of = torch.full((2 * len(faces),), -1).scatter_reduce(0, key, torch.arange(len(faces)), "amax")
+    twin = face_of[key ^ 1]
     sorted_vertices = faces.long().gather(1, by_place)
     reverse = sorted_vertices[twin.clamp(min=0)].gather(1, by_place.argsort(-1))
     return torch.where(twin[:, None] >= 0, reverse, -1)

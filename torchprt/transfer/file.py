@@ -32,7 +32,7 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     Raises InputError if a value is NaN or infinite, or `path` cannot be written or has another suffix.
     """
     path = Path(path)
-    if path.suffix != ".safetensors":
+    if path.suffix.lower() != ".safetensors":
         raise InputError(f"{path} must end in .safetensors")
     transfer.check()
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
