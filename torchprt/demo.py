@@ -25,7 +25,7 @@ Say = Callable[[str], None]
 
 
 def run(folder: Path, say: Say = print) -> None:
-    """Writes transfer, pictures, a lit model and an ONNX graph into `folder`; about a minute on two cores.
+    """Writes transfer, pictures, a lit model and an ONNX graph into `folder`; about a minute and a half of one core.
 
     Raises InputError if the folder cannot be made.
     """

@@ -93,3 +93,10 @@ def test_nets_stay_manifold_where_sheets_meet_in_one_cell():
         sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
         counts += np.unique(sides, axis=0, return_counts=True)[1].tolist()
     assert set(counts) == {2}
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_samples_do_not_care_whether_gradients_are_recorded(mode):
+    with mode():
+        quiet = organic(8000).geometry().positions
+    assert torch.equal(quiet, organic(8000).geometry().positions)

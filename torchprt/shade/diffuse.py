@@ -22,7 +22,8 @@ class DiffuseShader(nn.Module):
     with them it was also baked into what other surfaces receive, so learning it is refused.
 
     Laws: linear in `light`; turning the light and asking for `rotation` are the same; channels do not mix.
-    Half-precision transfer is widened to float32 when the shader is made.
+    Half-precision transfer is widened to float32 when the shader is made; otherwise buffers share the memory of the
+    transfer, so what is written into one is written into both. Parameters are copies.
     Source: Sloan, Kautz and Snyder 2002, section 6, equation 8.
     """
 

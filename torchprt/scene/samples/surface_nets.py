@@ -148,6 +148,8 @@ def _averaged(points: Float64[Tensor, "V 3"], quads: Int[np.ndarray, "Q 4"]) -> 
     return 0.5 * points + 0.5 * neighbours / count
 
 
+@torch.inference_mode(False)
+@torch.enable_grad()
 def _onto(field: Field, points: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
     """Points moved along the gradient to where the field is zero (one Newton step)."""
     moved = points.clone().requires_grad_(True)
