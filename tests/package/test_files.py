@@ -1,0 +1,78 @@
+"""Does a reader ever see half a file?"""
+
+import os
+import stat
+import sys
+
+import pytest
+
+from torchprt.errors import InputError
+from torchprt.files import atomic, check_writable
+
+
+def test_a_failure_leaves_the_former_file_and_nothing_beside_it(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_text("former")
+    for fault in (RuntimeError, KeyboardInterrupt):
+        with pytest.raises(fault), atomic(path) as temporary:
+            temporary.write_text("half")
+            assert path.read_text() == "former"
+            raise fault
+    assert path.read_text() == "former"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_success_replaces_the_former_file_at_once(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_text("former")
+    with atomic(path) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".bin"
+        assert temporary.parent == tmp_path
+    assert path.read_text() == "new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.bin"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
+def test_the_file_has_the_permissions_of_any_new_file(tmp_path):
+    before = os.umask(0o027)
+    try:
+        with atomic(tmp_path / "a.bin"):
+            pass
+        assert os.umask(0o027) == 0o027
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.bin").stat().st_mode) == 0o640
+
+
+def test_refuses_a_folder_and_a_place_in_a_folder_that_is_missing(tmp_path):
+    for path, words in ((tmp_path, "is a folder"), (tmp_path / "none" / "a.bin", "cannot be written")):
+        with pytest.raises(InputError, match=words), atomic(path):
+            pytest.fail("there is nothing to write to")
+    assert not list(tmp_path.iterdir())
+
+
+def test_asking_whether_a_file_can_be_written_writes_none(tmp_path):
+    assert check_writable(tmp_path / "a.NPY", (".npy", ".ply")) == tmp_path / "a.NPY"
+    for name, words in (
+        ("a.txt", r"a\.txt must end in \.npy or \.ply"),
+        ("a", "must end in"),
+        ("none/a.npy", "make it"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check_writable(tmp_path / name, (".npy", ".ply"))
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "b.npy").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        check_writable(tmp_path / "b.npy", (".npy",))
+    (tmp_path / "c").write_text("a file, not a folder")
+    with pytest.raises(InputError, match="does not exist"):
+        check_writable(tmp_path / "c" / "a.npy", (".npy",))
+
+
+def test_names_without_a_folder_are_of_the_folder_one_is_in(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    check_writable("a.npy", (".npy",))
+    with atomic("a.npy") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "a.npy").read_text() == "new"
