@@ -10,14 +10,19 @@ from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
 
 
-def test_a_failure_leaves_the_former_file_and_nothing_beside_it(tmp_path):
+def half_write(path, fault):
+    with atomic(path) as temporary:
+        temporary.write_text("half")
+        assert path.read_text() == "former"
+        raise fault
+
+
+@pytest.mark.parametrize("fault", [RuntimeError, KeyboardInterrupt])
+def test_a_failure_leaves_the_former_file_and_nothing_beside_it(fault, tmp_path):
     path = tmp_path / "a.bin"
     path.write_text("former")
-    for fault in (RuntimeError, KeyboardInterrupt):
-        with pytest.raises(fault), atomic(path) as temporary:
-            temporary.write_text("half")
-            assert path.read_text() == "former"
-            raise fault
+    with pytest.raises(fault):
+        half_write(path, fault)
     assert path.read_text() == "former"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.bin"]
 
