@@ -55,6 +55,7 @@ def bake(
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
+    import shutil
     import time
 
     import torch
@@ -77,6 +78,7 @@ def bake(
             seed=seed,
             threads=threads,
             checkpoint=None if unshadowed else folder,
+            keep=True,
         )
     except KeyboardInterrupt:
         kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
@@ -85,6 +87,8 @@ def bake(
     if half:
         transfer = transfer.to(torch.float16)
     prt.save_transfer(transfer, output)
+    if not unshadowed:
+        shutil.rmtree(folder, ignore_errors=True)
     _say(f"\n{output}: {_describe(transfer)}, baked in {time.perf_counter() - start:.1f} s")
 
 
@@ -101,7 +105,7 @@ def shade(
     view: Annotated[str, typer.Option(help="From the model toward the camera of the .png: X,Y,Z.")] = "0.45,0.35,1",
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
-    """Light a bake. `.npy` is linear exit radiance [V, 3] in the vertex order of the mesh file."""
+    """Light a bake. `.npy` is linear exit radiance, V x 3, in the vertex order of the mesh file."""
     import numpy as np
     import torch
 
@@ -141,7 +145,7 @@ def shade(
 @app.command()
 def light(
     image: Annotated[Path, typer.Argument(help="Latitude-longitude environment: .exr .hdr .png .jpg .tif")],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".npy of [order^2, 3] coefficients.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help=".npy of order^2 x 3 coefficients.")],
     order: Annotated[int, typer.Option(min=1, max=64, help="SH bands.")] = 5,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:

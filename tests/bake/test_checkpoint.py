@@ -144,3 +144,19 @@ def test_the_number_of_torch_threads_is_left_as_it_was(scene):
     before = torch.get_num_threads()
     bake(scene, rays=4, order=1, threads=2, progress=False)
     assert torch.get_num_threads() == before
+
+
+def test_a_checkpoint_is_kept_until_the_result_is_safe_if_that_is_asked(scene, tmp_path):
+    folder = tmp_path / "kept"
+    first = bake(scene, rays=8, checkpoint=folder, keep=True, progress=False)
+    counter = Stops()
+    again = bake(scene, rays=8, checkpoint=folder, progress=counter)
+    assert torch.equal(first.transfer, again.transfer)
+    assert counter.traced == 0
+    assert not folder.exists()
+
+
+def test_a_bad_argument_leaves_no_folder(scene, tmp_path):
+    with pytest.raises(InputError, match="seed"):
+        bake(scene, seed=-1, checkpoint=tmp_path / "kept", progress=False)
+    assert not (tmp_path / "kept").exists()

@@ -46,6 +46,7 @@ def bake(
     seed: int = 0,
     threads: int | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
+    keep: bool = False,
     progress: bool | Report = True,
 ) -> DiffuseTransfer:
     """Diffuse transfer of a scene.
@@ -55,7 +56,8 @@ def bake(
     - `bounces`: 0 for shadows alone, a count, or `math.inf` to follow light until a bounce adds less than 1e-4 of
       the transfer. `shadows=False` gives the closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
-    - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done.
+    - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
+      unless it is to `keep` it (until the result is safe on disk, say).
     - `progress`: a bar on standard error, or an object with the methods of `bake.progress.Report`.
 
     Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
@@ -71,7 +73,7 @@ def bake(
     the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5.
     """
-    _check(order, rays, bounces, shadows, threads)
+    _check(order, rays, bounces, shadows, seed, threads)
     geometry = scene.geometry()
     if not shadows:
         normals = geometry.receiver_normals if receivers is None else receivers.normals
@@ -102,12 +104,12 @@ def bake(
             error=error,
             signal=signal,
         )
-        if store is not None:
+        if store is not None and not keep:
             store.discard()
     return result
 
 
-def _check(order: int, rays: int, bounces: int | float, shadows: bool, threads: int | None) -> None:
+def _check(order: int, rays: int, bounces: int | float, shadows: bool, seed: int, threads: int | None) -> None:
     if not 1 <= order <= 64:
         raise InputError(f"order is {order}: give a number from 1 to 64")
     if not 1 <= rays <= 1 << 22:
@@ -116,6 +118,8 @@ def _check(order: int, rays: int, bounces: int | float, shadows: bool, threads: 
         raise InputError(f"bounces is {bounces}: give 0, a whole number or infinity")
     if bounces and not shadows:
         raise InputError("bounces need shadows: leave one of the two options out")
+    if seed < 0:
+        raise InputError(f"seed is {seed}: give a number from 0")
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: give at least 1")
 
