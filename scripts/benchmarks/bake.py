@@ -31,7 +31,7 @@ from torchprt.scene import Points, Scene, load, samples
 from torchprt.sh import basis
 from torchprt.trace import Tracer
 
-ORDER, RAYS, ROUNDS = 5, 1024, 5
+ORDER, RAYS, ROUNDS = 5, 1024, 9
 SAMPLE, REFERENCE_RAYS, RANDOM_SETS = 256, 1 << 16, 8
 
 

@@ -60,7 +60,7 @@ def test_a_stopped_bake_goes_on_where_it_was_to_the_same_bits(scene, tmp_path, o
     assert torch.equal(resumed.transfer, whole.transfer)
     assert resumed.error == whole.error
     # Three chunks were handed over; those that were running then are kept as well.
-    assert counter.done_before >= 3 * 1024 * 48
+    assert counter.done_before >= 3 * 512 * 48
     assert counter.done_before + counter.traced == 48 * whole.vertices
     assert not folder.exists()
 

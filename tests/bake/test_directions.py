@@ -58,6 +58,11 @@ def test_the_normal_is_the_third_row_of_a_frame():
     assert torch.equal(frames(normals)[:, 2], normals)
 
 
+def test_a_zero_normal_has_a_frame_like_any_other():
+    turned = frames(torch.zeros(1, 3, dtype=torch.float64))
+    assert torch.equal(turned, frames(torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)))
+
+
 def test_frames_turn_no_faster_than_twice_their_normals_away_from_straight_down():
     normals = normals_with_extremes()
     normals = normals[normals[:, 1] > -0.9]

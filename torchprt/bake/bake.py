@@ -65,8 +65,8 @@ def bake(
     result does not depend on the scale of the scene or on its distance from the origin.
     The error estimate comes from a spread of receivers traced again with 8 times the rays.
     Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces)
-    and, a thread, `72 * max(2^16, rays)` bytes of rays and `1024 (8 N + 36)` of results; with bounces at most
-    `24 * 1024 * rays` more for the hits of one chunk. The hits of all others wait on disk (in the checkpoint, or in
+    and, a thread, `72 * max(2^16, rays)` bytes of rays and `512 (8 N + 36)` of results; with bounces at most
+    `24 * 512 * rays` more for the hits of one chunk. The hits of all others wait on disk (in the checkpoint, or in
     the system's temporary folder): at most 24 bytes a blocked ray.
 
     Raises InputError if an argument is out of range or the checkpoint folder cannot be used; KeyboardInterrupt after

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.bake.directions import frames
-from torchprt.sh import Rotation, basis, clamped_cosine
+from torchprt.sh import basis, clamped_cosine, rotate
 from torchprt.trace import Tracer
 
 # Rays handed to Embree at a time, so that they and their answers stay in a core's cache.
@@ -92,10 +91,5 @@ def to_world(
     local: Float[Tensor, "N v"], turned: Float[Tensor, "v 3 3"], normals: Float[Tensor, "v 3"]
 ) -> Float[Tensor, "N v"]:
     """Transfer vectors from local frames to the world; zero where the normal is zero."""
-    world = _rotation(math.isqrt(len(local)))(local.T[:, :, None], turned.mT)[..., 0]
+    world = rotate(local.T[:, :, None], turned.mT)[..., 0]
     return torch.where(normals.abs().sum(-1, keepdim=True) > 0, world, 0).T
-
-
-@functools.lru_cache(maxsize=8)
-def _rotation(order: int) -> Rotation:
-    return Rotation(order)

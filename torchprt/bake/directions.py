@@ -39,9 +39,11 @@ def frames(normals: Float[Tensor, "v 3"]) -> Float[Tensor, "v 3 3"]:
 
     World direction = local direction @ frame. Smooth in the normal but at straight down (-y), where no smooth field
     could go on: neighbours share the small bias of the direction set, so a jump of the frame would show as a seam.
-    A zero normal gets a frame that is not a rotation; such a receiver has no transfer.
+    A zero normal gets the frame of +y; such a receiver has no transfer.
     Source: Frisvad 2012, Building an Orthonormal Basis from a 3D Unit Vector Without Normalization.
     """
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=normals.dtype, device=normals.device)
+    normals = torch.where((normals == 0).all(-1, keepdim=True), up, normals)
     x, y, z = normals.unbind(-1)
     # 1 + y without cancellation near the pole.
     height = torch.where(y < 0, (x * x + z * z) / (1 - y), 1 + y)

@@ -8,8 +8,9 @@ from typing import TypeVar
 
 import torch
 
-# Receivers a chunk: what a crash loses, and what a thread holds. Part of the result's bits, so not a parameter.
-CHUNK = 1024
+# Receivers a chunk: what a crash loses, what a thread holds, and how long the others wait for the last one. Part of
+# the bits of the result, so not a parameter.
+CHUNK = 512
 
 R = TypeVar("R")
 
