@@ -44,6 +44,8 @@ def run(rounds: int = 15) -> None:
     one, many = (torch.randn(count, ORDER**2, 3, generator=generator) for count in (1, MANY))
     out_one, out_many = module(one), module(many)
     by_vertex = transfer.transfer[0].T.contiguous()
+    # What no shader can beat while torch has no better product: the bare call on the very tensors.
+    rows, product = one[0].T.contiguous(), torch.empty(3, VERTICES)
     # As large as the transfer, so that both are read from the same level of the cache.
     stream = torch.ones(transfer.transfer.numel())
     # A scene whose transfer is larger than any cache, and as much to read.
@@ -76,6 +78,7 @@ def run(rounds: int = 15) -> None:
                 f"1 light, {LARGE} vertices": lambda: large(one, out=out_large),
                 "1 light, new result": lambda: module(one),
                 "1 light, [V, N] @ [N, 3]": lambda: torch.matmul(by_vertex, one[0]),
+                "1 light, bare torch.mm": lambda: torch.mm(rows, module.transfer[0], out=product),
                 "1 light, turned": lambda: turned(one, out_one),
                 "1 light, turned, ONNX Runtime": lambda: ort(one),
                 f"{MANY} lights": lambda: module(many, out=out_many),
@@ -122,6 +125,9 @@ def run(rounds: int = 15) -> None:
     ratio("the same against a read of 5 MB, from the cache", one_rate / cache_rate)
     ratio(f"{LARGE} vertices, 1 light / the stream rate", large_rate / memory_rate)
     ratio("1 light / [V, N] @ [N, 3]", times["1 light, [V, N] @ [N, 3]"].median / times["1 light"].median, 5)
+    bare = times["1 light, bare torch.mm"].median
+    ratio("bare torch.mm / stream rate of a read of 200 MB", moved * transfer.transfer.numel() / bare / memory_rate)
+    ratio("bare torch.mm / [V, N] @ [N, 3]", times["1 light, [V, N] @ [N, 3]"].median / bare)
     ratio(f"{MANY} lights / FLOP rate of the square product", work / times[f"{MANY} lights"].median / rate, 0.4)
     for count in ("1 light", f"{MANY} lights"):
         runtime = times[f"{count}, turned, ONNX Runtime"].median
