@@ -22,6 +22,7 @@ import torch
 from rich.console import Console
 
 from torchprt.bake import bake
+from torchprt.bake.workers import CHUNK
 from torchprt.measure import Table
 from torchprt.scene import Mesh, load, make_mesh
 from torchprt.trace import Tracer
@@ -90,7 +91,7 @@ def measure_bake(vertices: int, rays: int, bounces: int) -> dict[str, Any]:
     peak = resident(peak=True)
     tensors = [value for value in vars(scene.geometry()).values() if isinstance(value, torch.Tensor)]
     v, n = transfer.vertices, ORDER**2
-    each = 72 * max(1 << 16, rays) + 1024 * (8 * n + 36) + (24 * 1024 * rays if bounces else 0)
+    each = 72 * max(1 << 16, 8 * rays) + CHUNK * (8 * n + 36) + (24 * CHUNK * rays if bounces else 0)
     return {
         "vertices": v,
         "before": before,
@@ -98,6 +99,7 @@ def measure_bake(vertices: int, rays: int, bounces: int) -> dict[str, Any]:
         "scene": sum(tensor.numel() * tensor.element_size() for tensor in tensors),
         "result": 4 * v * n * (4 if bounces else 1),
         "threads": each * (os.cpu_count() or 1),
+        "copies": 550 * v + 224 * n * rays,
         "stages": peaks.stages,
     }
 
@@ -118,7 +120,7 @@ def run() -> None:
     cases += [(SIZES[1], RAYS[0], 2), (MILLION, RAYS[0], 0)]
     for vertices, rays, bounces in cases:
         found = in_a_process(vertices, rays, bounces) | in_a_process(vertices)
-        parts = {name: found[name] for name in ("before", "scene", "tree", "result", "threads")}
+        parts = {name: found[name] for name in ("before", "scene", "tree", "result", "threads", "copies")}
         parts["formula"] = sum(parts.values()) - parts["before"]
         parts |= {"grown": found["peak"] - found["before"], "peak": found["peak"]}
         name = f"{vertices // 1000}k x {rays} rays" + (f", {bounces} bounces" if bounces else "")

@@ -64,10 +64,11 @@ def bake(
     `threads` and after any interruption; a receiver that nothing blocks has exactly the unshadowed transfer; the
     result does not depend on the scale of the scene or on its distance from the origin.
     The error estimate comes from a spread of receivers traced again with 8 times the rays.
-    Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces)
-    and, a thread, `72 * max(2^16, rays)` bytes of rays and `512 (8 N + 36)` of results; with bounces at most
-    `24 * 512 * rays` more for the hits of one chunk. The hits of all others wait on disk (in the checkpoint, or in
-    the system's temporary folder): at most 24 bytes a blocked ray.
+    Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces),
+    some 550 V of copies that live for a moment and `224 N rays` of the basis along the directions of the estimate;
+    and, a thread, `72 max(2^16, 8 rays)` of rays and `512 (8 N + 36)` of results, with bounces at most
+    `24 * 512 * rays` more for the hits of a chunk. The hits of all others wait on disk (in the checkpoint, or in the
+    system's temporary folder): at most 24 bytes a blocked ray.
 
     Raises InputError if an argument is out of range or the checkpoint folder cannot be used; KeyboardInterrupt after
     the chunks that are being traced are finished and kept.
