@@ -112,3 +112,18 @@ def test_agrees_with_trimesh_on_a_scan(data):
     boundary = np.unique(peer.edges_sorted, axis=0, return_counts=True)[1]
     assert mesh.report.boundary_edges == (boundary == 1).sum()
     assert mesh.report.nonmanifold_edges == (boundary > 2).sum()
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)])
+def test_a_body_whose_faces_look_inward_is_inside_out(scale, shift):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    positions = ball.vertices * scale + shift
+    inward = make_mesh(positions, ball.faces[:, ::-1].copy())
+    assert inward.report.inside_out
+    assert "inside out" in str(inward.report)
+    assert not make_mesh(positions, ball.faces).report.inside_out
+
+
+def test_a_sheet_with_two_sides_is_not_inside_out():
+    positions = np.random.default_rng(0).normal(size=(3, 3))
+    assert not make_mesh(positions, np.array([[0, 1, 2], [2, 1, 0]])).report.inside_out

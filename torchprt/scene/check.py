@@ -42,6 +42,8 @@ class MeshReport:
     """Vertices without any usable normal: they receive no light."""
     opposed_normals: int
     """Vertices whose normal in the file points to the back of their faces."""
+    inside_out: bool = False
+    """Closed, but all faces turn their backs outward: right for a room seen from within, and for nothing else."""
 
     @property
     def watertight(self) -> bool:
@@ -56,6 +58,8 @@ class MeshReport:
         ]
         if self.watertight:
             lines.append("The surface is closed and consistently wound.")
+        if self.inside_out:
+            lines.append("It is inside out: faces turn their backs outward, which block light and reflect none.")
         if self.boundary_edges:
             lines.append(f"{_count(self.boundary_edges, 'edge')} with one face: the surface is open there.")
         if self.nonmanifold_edges:
@@ -100,6 +104,7 @@ def check(
     referenced = np.zeros(len(positions), dtype=bool)
     referenced[faces.ravel()] = True
     extent = np.ptp(positions, axis=0)
+    closed = bool((sides.count == 2).all()) and not bool((sides.forward[pairs] == sides.forward[pairs + 1]).any())
     return MeshReport(
         vertices=len(positions),
         faces=len(faces),
@@ -114,7 +119,16 @@ def check(
         computed_normals=int((computed & np.any(normals != 0, axis=1)).sum()),
         missing_normals=int(np.all(normals == 0, axis=1).sum()),
         opposed_normals=int((np.einsum("ij,ij->i", normals, from_faces) < 0).sum()),
+        # A sheet with two sides encloses nothing, up to the rounding of the sum.
+        inside_out=closed and _volume(positions, faces) < -1e-9,
     )
+
+
+def _volume(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
+    """Enclosed volume of a closed surface whose extent is 1, negative if the backs of its faces are outside."""
+    size = float(np.ptp(positions, axis=0).max()) or 1.0
+    first, second, third = ((positions[corner] - positions.mean(axis=0)) / size for corner in faces.T)
+    return float(np.einsum("ij,ij->", first, np.cross(second, third)) / 6)
 
 
 def degenerate(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, "F"]:
