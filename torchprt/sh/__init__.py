@@ -14,6 +14,9 @@ from .convention import from_sign_free as from_sign_free
 from .convention import to_e3nn as to_e3nn
 from .convention import to_pyshtools as to_pyshtools
 from .convention import to_sign_free as to_sign_free
+from .hemisphere import hemisphere_error as hemisphere_error
+from .hemisphere import hemisphere_gram as hemisphere_gram
+from .hemisphere import hemisphere_projection as hemisphere_projection
 from .matrices import rotation_bands as rotation_bands
 from .matrices import rotation_matrix as rotation_matrix
 from .product import gaunt as gaunt
@@ -23,6 +26,7 @@ from .project import project_function as project_function
 from .project import project_samples as project_samples
 from .quadrature import fibonacci as fibonacci
 from .quadrature import gauss_legendre as gauss_legendre
+from .quadrature import gauss_legendre_hemisphere as gauss_legendre_hemisphere
 from .quadrature import lebedev as lebedev
 from .rotate import Rotation as Rotation
 from .rotate import check_rotation as check_rotation
@@ -67,7 +71,11 @@ __all__ = [
     "gaunt",
     "gauss",
     "gauss_legendre",
+    "gauss_legendre_hemisphere",
     "hann",
+    "hemisphere_error",
+    "hemisphere_gram",
+    "hemisphere_projection",
     "lanczos",
     "latlong_basis",
     "latlong_directions",

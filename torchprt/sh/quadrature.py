@@ -28,6 +28,23 @@ def gauss_legendre(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Flo
     return torch.tensor(directions, dtype=dtype), torch.tensor(weights, dtype=dtype)
 
 
+def gauss_legendre_hemisphere(
+    degree: int, dtype: torch.dtype = torch.float64
+) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
+    """The product rule over z > 0 that is exact for products of two harmonics whose bands add up to at most `degree`.
+
+    Gauss-Legendre on 0 < z < 1, equal steps around it: what the steps around leave of such a product is a polynomial
+    in z. D = (degree // 2 + 1) (degree + 1) unit directions; the weights are positive and sum to 2 pi.
+    Raises InputError if `degree` is negative.
+    """
+    if degree < 0:
+        raise InputError(f"degree must not be negative, but is {degree}")
+    directions, weights = _gauss_legendre(degree)
+    z = (directions[:, 2] + 1) / 2
+    around = directions[:, :2] * (np.sqrt((1 - z) * (1 + z)) / np.sqrt(1 - directions[:, 2] ** 2))[:, None]
+    return torch.tensor(np.column_stack([around, z]), dtype=dtype), torch.tensor(weights / 2, dtype=dtype)
+
+
 def lebedev(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:
     """The smallest published Lebedev rule exact at least to `degree`: about two thirds of a product rule.
 
