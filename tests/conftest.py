@@ -17,6 +17,15 @@ if os.environ.get("TORCHPRT_TYPECHECK", "1") != "0":
     install_import_hook("torchprt", "beartype.beartype")
 
 
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Thousands of tiny operations: more threads only wait for each other, the longer the busier the machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real scans and photographs, which is not part of the project."""

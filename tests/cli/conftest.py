@@ -1,12 +1,11 @@
 """The command line in this process: what it says, where, and how it ends."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import torch
 import trimesh
 from environments import lamp, save_exr
 
@@ -18,14 +17,6 @@ class Ended:
     code: int
     out: str
     err: str
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture
