@@ -17,6 +17,10 @@ from .convention import to_sign_free as to_sign_free
 from .hemisphere import hemisphere_error as hemisphere_error
 from .hemisphere import hemisphere_gram as hemisphere_gram
 from .hemisphere import hemisphere_projection as hemisphere_projection
+from .hemisphere_basis import Projection as Projection
+from .hemisphere_basis import exit_count as exit_count
+from .hemisphere_basis import exit_functions as exit_functions
+from .hemisphere_basis import hemisphere_basis as hemisphere_basis
 from .matrices import rotation_bands as rotation_bands
 from .matrices import rotation_matrix as rotation_matrix
 from .product import gaunt as gaunt
@@ -52,6 +56,7 @@ from .zonal import phong as phong
 from .zonal import zonal as zonal
 
 __all__ = [
+    "Projection",
     "Rotation",
     "bands",
     "basis",
@@ -64,6 +69,8 @@ __all__ = [
     "cube_weights",
     "disc",
     "evaluate",
+    "exit_count",
+    "exit_functions",
     "fibonacci",
     "from_e3nn",
     "from_pyshtools",
@@ -73,6 +80,7 @@ __all__ = [
     "gauss_legendre",
     "gauss_legendre_hemisphere",
     "hann",
+    "hemisphere_basis",
     "hemisphere_error",
     "hemisphere_gram",
     "hemisphere_projection",

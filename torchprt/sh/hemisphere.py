@@ -13,7 +13,7 @@ from torchprt.sh.quadrature import gauss_legendre_hemisphere
 Kind = Literal["zero", "odd", "even", "optimal"]
 
 # l = 1, m = 0: on the hemisphere the others reproduce it best of all.
-_DISCARDED = 2
+DISCARDED = 2
 
 
 def hemisphere_gram(order: int) -> Float64[Tensor, "N N"]:
@@ -60,7 +60,7 @@ def hemisphere_projection(
         raise InputError(f"ridge is {ridge}: it must not be negative")
     kept = torch.ones(len(gram), dtype=torch.bool)
     if reduced and order > 1:
-        kept[_DISCARDED] = False
+        kept[DISCARDED] = False
     part = gram[kept][:, kept] + ridge * torch.eye(int(kept.sum()), dtype=torch.float64)
     least, largest = torch.linalg.eigvalsh(part)[[0, -1]]
     if not float(least) > 16 * len(part) * torch.finfo(torch.float64).eps * float(largest):
