@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 
 from torchprt.errors import InputError
 from torchprt.transfer import FORMAT, load, save
-from torchprt.transfer.kinds import FLOATS, tensors
+from torchprt.transfer.layout import FLOATS, tensors
 
 
 @pytest.fixture

@@ -1,9 +1,23 @@
 """What a bake leaves: the kinds of transfer and one file format."""
 
+from .diffuse import DiffuseTransfer as DiffuseTransfer
 from .file import FORMAT as FORMAT
-from .file import Transfer as Transfer
 from .file import load as load
 from .file import save as save
-from .kinds import DiffuseTransfer as DiffuseTransfer
+from .glossy import FactoredTransfer as FactoredTransfer
+from .glossy import GlossyTransfer as GlossyTransfer
+from .glossy import IncidentTransfer as IncidentTransfer
+from .glossy import VisibilityTransfer as VisibilityTransfer
+from .kinds import Transfer as Transfer
 
-__all__ = ["FORMAT", "DiffuseTransfer", "Transfer", "load", "save"]
+__all__ = [
+    "FORMAT",
+    "DiffuseTransfer",
+    "FactoredTransfer",
+    "GlossyTransfer",
+    "IncidentTransfer",
+    "Transfer",
+    "VisibilityTransfer",
+    "load",
+    "save",
+]

@@ -6,19 +6,17 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.transfer.kinds import DiffuseTransfer, tensors
-
-Transfer: TypeAlias = DiffuseTransfer
+from torchprt.transfer.kinds import KINDS, Transfer
+from torchprt.transfer.layout import tensors
 
 FORMAT = 1
-KINDS: dict[str, type[Transfer]] = {kind.kind: kind for kind in (DiffuseTransfer,)}
 CONVENTIONS = (
     "real orthonormal spherical harmonics with the Condon-Shortley sign, index l(l+1)+m; world frame, y up; "
     "directions point away from the surface; transfer carries 1/pi, albedo of the receiver is separate"
