@@ -23,7 +23,8 @@ import rich
 import torch
 
 from torchprt.bake import bake, frames, hemisphere
-from torchprt.bake.diffuse import Receivers, cosine_weights, shadowed
+from torchprt.bake.diffuse import cosine_weights, shadowed
+from torchprt.bake.receivers import Receivers
 from torchprt.bake.solve import vertex_receivers
 from torchprt.bake.workers import Workers, chunks
 from torchprt.measure import Table, relative_rms

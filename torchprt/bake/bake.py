@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from torchprt.bake.checkpoint import Checkpoint, fingerprint
-from torchprt.bake.diffuse import Receivers, unshadowed
+from torchprt.bake.diffuse import unshadowed
 from torchprt.bake.estimate import error_and_signal
 from torchprt.bake.progress import Bar, Report, Silent
+from torchprt.bake.receivers import Receivers
 from torchprt.bake.solve import (
     Job,
     Solution,

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchprt.bake.diffuse import Receivers, cosine_weights, to_world
-from torchprt.bake.directions import frames
+from torchprt.bake.diffuse import cosine_weights, to_world
+from torchprt.bake.receivers import Receivers
 from torchprt.trace import Hits, Tracer
 
 
@@ -58,7 +58,7 @@ def shadowed_with_hits(
 
     Source: Sloan, Kautz and Snyder 2002, section 5, shadow and interreflection passes.
     """
-    turned = frames(receivers.normals).to(torch.float32)
+    turned = receivers.frames()
     rays = directions.to(torch.float32)
     weights = cosine_weights(directions).to(torch.float32)
     local = torch.empty(len(project), len(receivers), dtype=torch.float32)

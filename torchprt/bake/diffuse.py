@@ -3,40 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.bake.directions import frames
+from torchprt.bake.receivers import Receivers
 from torchprt.sh import basis, clamped_cosine, rotate
 from torchprt.trace import Tracer
-
-# Rays handed to Embree at a time, so that they and their answers stay in a core's cache.
-BLOCK = 1 << 16
-
-
-@dataclass
-class Receivers:
-    """Where transfer is recorded: points and unit normals in the world, float64, and ray `origins` in the frame of
-    the tracer, float32. A receiver with a zero normal has zero transfer."""
-
-    points: Float[Tensor, "V 3"]
-    normals: Float[Tensor, "V 3"]
-    origins: Float[Tensor, "V 3"]
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __getitem__(self, rows: slice | Tensor) -> Receivers:
-        return Receivers(self.points[rows], self.normals[rows], self.origins[rows])
-
-    def blocks(self, rays: int) -> Iterator[slice]:
-        """Slices of at most `BLOCK` rays (one receiver at least)."""
-        step = max(1, BLOCK // rays)
-        return (slice(start, min(start + step, len(self))) for start in range(0, len(self), step))
 
 
 def unshadowed(normals: Float[Tensor, "V 3"], order: int) -> Float[Tensor, "N V"]:
@@ -76,7 +50,7 @@ def shadowed(
     A pure function of its arguments: the same bits wherever and beside whatever it runs.
     Source: Sloan, Kautz and Snyder 2002, section 5, shadow pass.
     """
-    turned = frames(receivers.normals).to(torch.float32)
+    turned = receivers.frames()
     rays = directions.to(torch.float32)
     # Embree answers -1 for a ray that escapes.
     escapes = -project

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from torchprt.bake.bounce import Gather, Surfaces, shadowed_with_hits
 from torchprt.bake.checkpoint import Checkpoint
-from torchprt.bake.diffuse import Receivers, projection, shadowed
+from torchprt.bake.diffuse import projection, shadowed
 from torchprt.bake.directions import hemisphere
 from torchprt.bake.progress import Report
+from torchprt.bake.receivers import Receivers
 from torchprt.bake.workers import Workers, chunks
 from torchprt.errors import InputError
 from torchprt.scene import Geometry
