@@ -133,3 +133,14 @@ def test_the_reduced_functions_are_the_harmonics_but_one():
     kept = [index for index in range(25) if index != 2]
     torch.testing.assert_close(reduced, sh.basis(points, 5)[:, kept])
     assert sh.exit_count(5, "reduced") == 24
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+def test_directions_below_the_horizon_come_up_to_it(scale):
+    points = torch.tensor([[0.0, 0, 2], [3, 0, 4], [3, 4, -1], [0, 0, -1], [0, 0, 0]]) * scale
+    wanted = torch.tensor([[0.0, 0, 1], [0.6, 0, 0.8], [0.6, 0.8, 0], [0, 0, 1], [0, 0, 1]])
+    # A division, a root and a product.
+    torch.testing.assert_close(sh.to_horizon(points), wanted, atol=4 * torch.finfo(torch.float32).eps, rtol=0)
+    points.requires_grad_()
+    (gradient,) = torch.autograd.grad(sh.to_horizon(points)[:, 0].sum(), points)
+    assert gradient.isfinite().all()

@@ -21,6 +21,7 @@ from .hemisphere_basis import Projection as Projection
 from .hemisphere_basis import exit_count as exit_count
 from .hemisphere_basis import exit_functions as exit_functions
 from .hemisphere_basis import hemisphere_basis as hemisphere_basis
+from .hemisphere_basis import to_horizon as to_horizon
 from .matrices import rotation_bands as rotation_bands
 from .matrices import rotation_matrix as rotation_matrix
 from .product import gaunt as gaunt
@@ -102,6 +103,7 @@ __all__ = [
     "rotation_bands",
     "rotation_matrix",
     "to_e3nn",
+    "to_horizon",
     "to_pyshtools",
     "to_sign_free",
     "window",

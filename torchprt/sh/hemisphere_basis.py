@@ -68,6 +68,20 @@ def exit_count(order: int, projection: Projection = "optimal") -> int:
     return order * order - (1 if projection == "reduced" and order > 1 else 0)
 
 
+def to_horizon(directions: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D 3"]:
+    """Local directions brought to unit length and, where they point below the horizon, up to it.
+
+    Vertices at a silhouette have smooth normals that look away from the eye a little: what they show is what they show
+    at the horizon. Zero, and straight down, become the normal (0, 0, 1). Finite gradients everywhere.
+    """
+    above = directions.clamp(min=directions.new_tensor([-torch.inf, -torch.inf, 0]))
+    # Scaled first: the squares of tiny components would vanish.
+    largest = above.abs().amax(-1, keepdim=True)
+    nothing = largest == 0
+    scaled = torch.where(nothing, directions.new_tensor([0.0, 0.0, 1.0]), above / torch.where(nothing, 1.0, largest))
+    return scaled / torch.linalg.vector_norm(scaled, dim=-1, keepdim=True)
+
+
 def _functional(xyz: Tensor, tables: tuple[Tensor, ...], order: int) -> Tensor:
     x, y, z = xyz
     slope, level, across, sectoral = tables
