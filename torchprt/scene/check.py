@@ -44,6 +44,8 @@ class MeshReport:
     """Vertices whose normal in the file points to the back of their faces."""
     inside_out: bool = False
     """Closed, but all faces turn their backs outward: right for a room seen from within, and for nothing else."""
+    missing_tangents: int = 0
+    """Vertices that the file's tangents or texture coordinates, if it has any, give no direction."""
 
     @property
     def watertight(self) -> bool:
@@ -79,6 +81,11 @@ class MeshReport:
         if self.missing_normals:
             lines.append(
                 f"{_count(self.missing_normals, 'vertex', 'vertices')} without a usable normal: will receive no light."
+            )
+        if self.missing_tangents:
+            lines.append(
+                f"{_count(self.missing_tangents, 'vertex', 'vertices')} whose texture coordinates give no tangent: "
+                "glossy surfaces take a smooth field there."
             )
         return "\n".join(lines)
 

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
+from torchprt.brdf import Brdf
+
 from .material import differs
 from .object import Object
 
@@ -40,6 +42,21 @@ class Geometry:
     """For each object of the scene the rows of its front receivers; empty for blockers."""
     back_slices: tuple[slice, ...]
     """For each object of the scene the rows of its reverse receivers; empty where it has none."""
+    glossy: Int64[Tensor, "G"]
+    """The receivers whose material has a gloss, ascending."""
+    gloss: tuple[Brdf, ...]
+    """The different glosses of the scene."""
+    gloss_of_glossy: Int64[Tensor, "G"]
+    """Which of them lies on each glossy receiver."""
+    tangents: Float64[Tensor, "G 3"]
+    """Of the glossy receivers: unit length, orthogonal to the normal, the same on both sides of a surface."""
+    specular: Float32[Tensor, "G S"]
+    """Weight of the gloss: three channels if any is coloured, else one."""
+    partner: Int64[Tensor, "V"]
+    """The receiver on the other side of a translucent surface; -1 where nothing comes through."""
+    translucency: Float32[Tensor, "V"]
+    tangent_fields: tuple[str, ...]
+    """For each object of the scene where its tangents come from: "uv", "smooth", or "" if it is not glossy."""
 
     @property
     def receivers(self) -> int:
@@ -70,6 +87,11 @@ def gather(objects: Sequence[Object]) -> Geometry:
         for object, rows, on in zip(objects, back_slices, reversible, strict=True)
         if on
     ]
+    starts_of_both = _starts([len(object.mesh.positions) for object in both])[:-1]
+    shiny = [(object, start) for object, start in zip(both, starts_of_both, strict=True) if object.glossy]
+    gloss = _distinct([object.material.brdf for object, _ in shiny])
+    specular_channels = 3 if any(differs(object.specular) for object, _ in shiny) else 1
+    whole = torch.zeros(0, dtype=torch.int64)
     return Geometry(
         positions=torch.cat([object.mesh.positions for object in objects]),
         faces=torch.cat([object.mesh.faces + start for object, start in zip(objects, starts[:-1], strict=True)]),
@@ -85,7 +107,51 @@ def gather(objects: Sequence[Object]) -> Geometry:
         display_faces=torch.cat([torch.zeros(0, 3, dtype=torch.int64), *display]),
         slices=slices,
         back_slices=back_slices,
+        glossy=torch.cat([whole, *(torch.arange(len(o.mesh.positions)) + start for o, start in shiny)]),
+        gloss=gloss,
+        gloss_of_glossy=torch.cat(
+            [whole, *(torch.full((len(o.mesh.positions),), _number(o.material.brdf, gloss)) for o, _ in shiny)]
+        ),
+        tangents=torch.cat([none, *(object.mesh.tangent_field for object, _ in shiny)]),
+        specular=torch.cat(
+            [torch.zeros(0, specular_channels), *(_channels(o.specular, specular_channels) for o, _ in shiny)]
+        ),
+        partner=_partners(objects, slices, back_slices, backs[-1]),
+        translucency=torch.cat(
+            [torch.zeros(0), *(torch.full((len(o.mesh.positions),), float(o.material.translucency)) for o in both)]
+        ),
+        tangent_fields=tuple(object.tangent_field for object in objects),
     )
+
+
+def _distinct(all_gloss: Sequence[Brdf | None]) -> tuple[Brdf, ...]:
+    found: list[Brdf] = []
+    for brdf in all_gloss:
+        if brdf is not None and not any(_same(brdf, each) for each in found):
+            found.append(brdf)
+    return tuple(found)
+
+
+def _number(brdf: Brdf | None, gloss: tuple[Brdf, ...]) -> int:
+    return next(number for number, each in enumerate(gloss) if brdf is not None and _same(brdf, each))
+
+
+def _same(one: Brdf, other: Brdf) -> bool:
+    try:
+        return one is other or (hash(one) == hash(other) and one == other)
+    except TypeError:  # Tables have no hash: each is its own.
+        return False
+
+
+def _partners(
+    objects: Sequence[Object], slices: tuple[slice, ...], back_slices: tuple[slice, ...], receivers: int
+) -> Int64[Tensor, "V"]:
+    partner = torch.full((receivers,), -1)
+    for object, front, back in zip(objects, slices, back_slices, strict=True):
+        if object.receives and object.material.translucency:
+            partner[front] = torch.arange(back.start, back.stop)
+            partner[back] = torch.arange(front.start, front.stop)
+    return partner
 
 
 def _starts(sizes: list[int], first: int = 0) -> list[int]:

@@ -1,4 +1,4 @@
-"""What a surface does with light: diffuse reflectance for now."""
+"""What a surface does with light: its body reflects diffusely, a gloss may lie on it, light may pass through it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,10 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from torchprt.brdf import Brdf, parse
 from torchprt.errors import InputError
 
+from .energy import check_balance
 from .mesh import Mesh
 
 Albedo = float | int | Sequence[float] | Float[Tensor, "..."] | str
@@ -17,31 +19,73 @@ Albedo = float | int | Sequence[float] | Float[Tensor, "..."] | str
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A diffuse surface.
+    """A diffuse surface, a glossy one, or both; a thin translucent sheet.
 
-    `albedo` is the share of light that is reflected, in [0, 1]: one number, three numbers (linear RGB),
-    a tensor with a row for every vertex ([V, 1] or [V, 3]), or "vertex" for the colours of the mesh.
+    `albedo` is the share of light that is reflected diffusely, in [0, 1]: one number, three numbers (linear RGB),
+    a tensor with a row for every vertex ([V, 1] or [V, 3]), or "vertex" for the colours of the mesh. If it is not
+    given it is .5, and 0 under a gloss.
     A `two_sided` surface receives and reflects light on both of its sides, each by itself (a leaf, a sheet of paper).
+    `gloss` is a BRDF that is added to the diffuse part, or its text, "ggx:0.3,0.04" (see `torchprt.brdf.parse`), and
+    `specular` its weight in [0, 1], given as `albedo` is, but for "vertex".
+    `translucency`, in [0, 1], is the share of the irradiance of the other side that comes through, times the albedo:
+    exit radiance is albedo / pi (E + translucency E_other). Such a surface is two-sided. Source: Sloan, Luna and
+    Snyder 2005, section 5.3 (thin membranes).
 
-    Raises InputError if an albedo is outside [0, 1], not a number, or of another shape.
+    Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.
+    Raises InputError if a number is outside [0, 1], not a number, or of another shape, if the gloss is not known or
+    creates energy, if all parts together do (`vertex` albedo: when the `Object` is made), or if specular is given
+    without a gloss.
     """
 
-    albedo: Albedo = 0.5
+    albedo: Albedo | None = None
     two_sided: bool = False
+    gloss: Brdf | str | None = None
+    specular: Albedo = 1.0
+    translucency: float | int = 0.0
 
     def __post_init__(self) -> None:
+        if isinstance(self.gloss, str):
+            object.__setattr__(self, "gloss", parse(self.gloss))
+        if self.albedo is None:
+            object.__setattr__(self, "albedo", 0.5 if self.gloss is None else 0.0)
+        # Written so that NaN is refused too.
+        if not 0 <= self.translucency <= 1:
+            raise InputError(f"translucency is {self.translucency:g}: give a value in [0, 1]")
+        if self.translucency:
+            object.__setattr__(self, "two_sided", True)
+        if isinstance(self.specular, str):
+            raise InputError(f"specular {self.specular!r} is not known: give numbers in [0, 1]")
+        weight = table(self.specular, "specular")
+        check_albedo(weight, "specular")
+        if self.gloss is None and not bool((weight == 1).all()):
+            raise InputError('specular is given without gloss: give a gloss too, as "ggx:0.3,0.04"')
         if isinstance(self.albedo, str):
             if self.albedo != "vertex":
                 raise InputError(
                     f'albedo {self.albedo!r} is not known: give numbers, or "vertex" for the colours of the mesh'
                 )
+            if self.gloss is not None:
+                check_balance(torch.zeros(1, 1), weight, self.brdf, 0.0, "albedo")
             return
-        check_albedo(table(self.albedo), "albedo")
+        body = table(_numbers(self.albedo))
+        check_albedo(body, "albedo")
+        self._check_balance(body, "albedo")
+
+    @property
+    def brdf(self) -> Brdf | None:
+        """The gloss; None without one."""
+        # Text has become a model when the material was made.
+        return None if isinstance(self.gloss, str) else self.gloss
 
     @property
     def coloured(self) -> bool:
-        """Whether the channels differ; "vertex" counts as coloured until an `Object` has met the mesh."""
-        return isinstance(self.albedo, str) or differs(table(self.albedo))
+        """Whether the channels of albedo or specular differ.
+
+        "vertex" counts as coloured until an `Object` has met the mesh.
+        """
+        if self.gloss is not None and differs(table(_numbers(self.specular), "specular")):
+            return True
+        return isinstance(self.albedo, str) or differs(table(_numbers(self.albedo)))
 
     def albedo_of(self, mesh: Mesh) -> Float32[Tensor, "V C"]:
         """Albedo of every vertex of `mesh`, C = 1 or 3.
@@ -54,19 +98,46 @@ class Material:
                 raise InputError(f'{mesh.name} has no vertex colours for albedo "vertex": give the albedo as numbers')
             check_albedo(mesh.colours, f"{mesh.name} as albedo")
             return mesh.colours
-        return rows(table(self.albedo), vertices, mesh.name)
+        return rows(table(_numbers(self.albedo)), vertices, mesh.name)
+
+    def specular_of(self, mesh: Mesh) -> Float32[Tensor, "V C"]:
+        """Weight of the gloss at every vertex of `mesh`, C = 1 or 3; zero without a gloss.
+
+        Raises InputError, naming the mesh, if it has another number of vertices.
+        """
+        if self.gloss is None:
+            return torch.zeros(1, 1).expand(len(mesh.positions), 1)
+        return rows(table(_numbers(self.specular), "specular"), len(mesh.positions), mesh.name, "specular")
+
+    def check_energy(self, mesh: Mesh) -> None:
+        """Checks the energy where the albedo is known only with the mesh, as the material does with numbers."""
+        if isinstance(self.albedo, str):
+            self._check_balance(self.albedo_of(mesh), f"{mesh.name} with an albedo")
+
+    def _check_balance(self, albedo: Float32[Tensor, "rows C"], name: str) -> None:
+        if self.gloss is not None or self.translucency:
+            check_balance(albedo, table(_numbers(self.specular)), self.brdf, float(self.translucency), name)
 
 
-def table(albedo: float | int | Sequence[float] | Float[Tensor, "..."]) -> Float32[Tensor, "rows C"]:
+Numbers = float | int | Sequence[float] | Float[Tensor, "..."]
+
+
+def _numbers(values: Albedo | None) -> Numbers:
+    if values is None or isinstance(values, str):
+        raise TypeError(f"{values!r} is not made of numbers")
+    return values
+
+
+def table(albedo: Numbers, name: str = "albedo") -> Float32[Tensor, "rows C"]:
     """Albedo as a float32 tensor [1, 1], [1, 3], [V, 1] or [V, 3], whatever it was given as."""
     try:
         values = torch.as_tensor(albedo).detach().to("cpu", torch.float32)
     except (TypeError, ValueError, RuntimeError) as fault:
-        raise InputError("albedo is not made of numbers: give one, three, or a tensor [V, 1] or [V, 3]") from fault
+        raise InputError(f"{name} is not made of numbers: give one, three, or a tensor [V, 1] or [V, 3]") from fault
     if values.ndim < 2:
         values = values.reshape(1, -1)
     if values.ndim != 2 or values.shape[1] not in (1, 3) or not len(values):
-        raise InputError(f"albedo has shape {list(values.shape)}: give one number, three, or a tensor [V, 1] or [V, 3]")
+        raise InputError(f"{name} has shape {list(values.shape)}: give one number, three, or a tensor [V, 1] or [V, 3]")
     return values
 
 
@@ -78,10 +149,10 @@ def check_albedo(values: Float[Tensor, "rows C"], name: str) -> None:
         raise InputError(f"{name} ranges from {low:g} to {high:g}: give values in [0, 1]")
 
 
-def rows(values: Float32[Tensor, "rows C"], count: int, name: str) -> Float32[Tensor, "V C"]:
+def rows(values: Float32[Tensor, "rows C"], count: int, name: str, what: str = "albedo") -> Float32[Tensor, "V C"]:
     """`values` with a row for each of `count` receivers."""
     if len(values) not in (1, count):
-        raise InputError(f"albedo has {len(values)} rows for the {count} vertices of {name}: give one, or one a vertex")
+        raise InputError(f"{what} has {len(values)} rows for the {count} vertices of {name}: give one, or one a vertex")
     return values.expand(count, -1)
 
 

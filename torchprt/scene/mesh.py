@@ -1,17 +1,19 @@
 """A mesh as everything above this room sees it: torch tensors, checked."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64, Shaped
+from jaxtyping import Float, Float32, Float64, Int, Int64, Shaped
 from torch import Tensor
 
 from torchprt.errors import InputError
 
 from .check import MeshReport, check
 from .normals import face_normals, unit, vertex_normals
+from .tangents import orthogonal, smooth_tangents, tangents_from_uv
 
 Array = np.ndarray | Tensor
 
@@ -32,6 +34,21 @@ class Mesh:
     """Linear RGB."""
     name: str
     report: MeshReport
+    tangents: Float64[Tensor, "V 3"] | None = None
+    """Unit length, orthogonal to the normals: those of the file, or the direction of increasing u. Zero where neither
+    says one; None if that is everywhere, or if the file has no texture coordinates."""
+
+    @cached_property
+    def tangent_field(self) -> Float64[Tensor, "V 3"]:
+        """A unit tangent for every vertex, orthogonal to its normal: `tangents`, where they are missing a smooth field.
+
+        Computed when first asked for; see `torchprt.scene.tangents.smooth_tangents`.
+        """
+        if self.tangents is not None and bool(self.tangents.any(dim=1).all()):
+            return self.tangents
+        guide = None if self.tangents is None else self.tangents.numpy()
+        arrays = (self.positions.numpy(), self.faces.numpy(), self.normals.numpy())
+        return torch.from_numpy(smooth_tangents(*arrays, guide))
 
 
 def make_mesh(
@@ -40,14 +57,21 @@ def make_mesh(
     normals: Shaped[Array, "given 3"] | None = None,
     colours: Shaped[Array, "painted 3"] | None = None,
     name: str | os.PathLike[str] = "mesh",
+    uv: Shaped[Array, "..."] | None = None,
+    tangents: Shaped[Array, "turned 3"] | None = None,
 ) -> Mesh:
     """A mesh of given triangles (numpy arrays or tensors of any real dtype), checked.
 
     Given normals are brought to unit length; where they are missing, zero or not finite, they are computed
     from the faces (see `vertex_normals`). Colours are linear RGB.
 
+    `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2]; rows that are not
+    finite are missing. They serve for the tangents, the directions of increasing u, and are not kept. Given
+    `tangents` come first where they are usable. Only the direction of the tangent is taken: where texture
+    coordinates are mirrored, the bitangent is still normal x tangent.
+
     Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
-    if a face names a vertex that does not exist, or if no face has area.
+    if a face names a vertex that does not exist, if no face has area, or if something has not a row for every vertex.
     """
     name = os.fspath(name)
     points = _numpy(positions, np.float64)
@@ -62,14 +86,51 @@ def make_mesh(
     linear = None if colours is None else torch.from_numpy(_numpy(colours, np.float32))
     if linear is not None and linear.shape != points.shape:
         raise InputError(f"{name} has {len(linear)} colours for {len(points)} vertices: give one a vertex")
+    directions = _tangents(points, triangles, final, uv, tangents, name)
+    report = check(points, triangles, final, computed, from_faces)
+    if directions is not None:
+        report = replace(report, missing_tangents=int(np.all(directions == 0, axis=1).sum()))
+    usable = directions is not None and directions.any()
     return Mesh(
         positions=torch.from_numpy(points),
         faces=torch.from_numpy(triangles),
         normals=torch.from_numpy(final),
         colours=linear,
         name=name,
-        report=check(points, triangles, final, computed, from_faces),
+        report=report,
+        tangents=torch.from_numpy(directions) if usable and directions is not None else None,
     )
+
+
+def _tangents(
+    positions: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    normals: Float[np.ndarray, "V 3"],
+    uv: Array | None,
+    tangents: Array | None,
+    name: str,
+) -> Float[np.ndarray, "V 3"] | None:
+    """Tangents as given, else from texture coordinates, else zero; None if there is neither."""
+    if uv is None and tangents is None:
+        return None
+    result = np.zeros_like(positions)
+    if uv is not None:
+        pairs = _numpy(uv, np.float64)
+        if pairs.shape == (len(positions), 2):
+            pairs = pairs[faces]
+        if pairs.shape != (len(faces), 3, 2):
+            raise InputError(
+                f"{name} has texture coordinates of shape {list(pairs.shape)} for {len(positions)} vertices and "
+                f"{len(faces)} faces: give [V, 2] or [F, 3, 2]"
+            )
+        result = tangents_from_uv(positions, faces, normals, pairs)
+    if tangents is not None:
+        given = _numpy(tangents, np.float64)
+        if given.shape != positions.shape:
+            raise InputError(f"{name} has {len(given)} tangents for {len(positions)} vertices: give one a vertex")
+        given = orthogonal(unit(given), normals)
+        result = np.where(np.any(given != 0, axis=1)[:, None], given, result)
+    return result
 
 
 def _numpy(values: Array, dtype: type) -> np.ndarray:

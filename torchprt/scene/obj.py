@@ -6,24 +6,39 @@ stood at the end of the file, and takes index 0 for 1. Transfer is stored by ver
 
 import itertools
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from torchprt.errors import InputError
 
-Corner = tuple[int, int]
-"""Vertex and normal, from 0; normal -1 for none."""
+Corner = tuple[int, int, int]
+"""Vertex, normal and texture coordinates, from 0; -1 for none."""
 
 
-def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Positions, triangles, normals and linear colours (None where the file has none) of an .obj file.
+class Parsed(NamedTuple):
+    """What an .obj file holds; None for what it does not."""
+
+    positions: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None
+    colours: np.ndarray | None
+    """Linear RGB."""
+    uv: np.ndarray | None
+    """[F, 3, 2], a pair for every corner; NaN where a corner has none."""
+
+
+def parse_obj(data: bytes, source: Path) -> Parsed:
+    """Positions, triangles, normals, colours and texture coordinates of an .obj file.
 
     A vertex that faces use with one normal, or none, stays one vertex; with several it is repeated beside itself.
+    Texture coordinates repeat no vertex.
     Raises InputError, naming the line, where the file does not say what it must.
     """
     text = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
     vertices: list[list[float]] = []
     normals: list[list[float]] = []
+    textures: list[list[float]] = []
     corners: list[Corner] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split("#", 1)[0].split()
@@ -34,8 +49,11 @@ def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.nda
                 vertices.append(_numbers(words[1:], least=3))
             elif words[0] == "vn":
                 normals.append(_numbers(words[1:4], least=3))
+            elif words[0] == "vt":
+                # A map of one dimension has u alone.
+                textures.append([*_numbers(words[1:3], least=1), 0.0][:2])
             elif words[0] == "f":
-                polygon = [_corner(word, len(vertices), len(normals)) for word in words[1:]]
+                polygon = [_corner(word, len(vertices), len(normals), len(textures)) for word in words[1:]]
                 if len(polygon) < 3:
                     raise ValueError("has a face of fewer than three corners")
                 for second, third in itertools.pairwise(polygon[1:]):
@@ -43,7 +61,8 @@ def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.nda
         except ValueError as fault:
             raise InputError(f"{source} line {number} {fault}: export the mesh again") from fault
     positions = np.array([vertex[:3] for vertex in vertices], dtype=np.float64).reshape(-1, 3)
-    pairs = np.array(corners, dtype=np.int64).reshape(-1, 2)
+    indices = np.array(corners, dtype=np.int64).reshape(-1, 3)
+    pairs, texture = indices[:, :2], indices[:, 2]
     if len(pairs) and pairs[:, 0].max() >= len(positions):
         raise InputError(
             f"{source} has a face that names vertex {pairs[:, 0].max() + 1} of {len(positions)}: export the mesh again"
@@ -51,6 +70,11 @@ def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.nda
     if len(pairs) and pairs[:, 1].max() >= len(normals):
         raise InputError(
             f"{source} has a face that names normal {pairs[:, 1].max() + 1} of {len(normals)}: export the mesh again"
+        )
+    if len(texture) and texture.max() >= len(textures):
+        raise InputError(
+            f"{source} has a face that names texture coordinates {texture.max() + 1} of {len(textures)}: "
+            "export the mesh again"
         )
     vertex, normal, faces = _split(pairs, len(positions))
     directions = None
@@ -60,7 +84,10 @@ def parse_obj(data: bytes, source: Path) -> tuple[np.ndarray, np.ndarray, np.nda
     # Four numbers are a weight; six or more are a position and a colour.
     if vertices and all(len(values) >= 6 for values in vertices):
         colours = np.array([values[3:6] for values in vertices])[vertex]
-    return positions[vertex], faces, directions, colours
+    uv = None
+    if textures and (texture >= 0).any():
+        uv = np.where(texture[:, None] >= 0, np.array(textures)[texture], np.nan).reshape(-1, 3, 2)
+    return Parsed(positions[vertex], faces, directions, colours, uv)
 
 
 def _numbers(words: list[str], least: int) -> list[float]:
@@ -72,9 +99,13 @@ def _numbers(words: list[str], least: int) -> list[float]:
         raise ValueError("holds something that is not a number") from None
 
 
-def _corner(word: str, vertices: int, normals: int) -> Corner:
-    parts = word.split("/")
-    return _index(parts[0], vertices), _index(parts[2], normals) if len(parts) > 2 and parts[2] else -1
+def _corner(word: str, vertices: int, normals: int, textures: int) -> Corner:
+    vertex, texture, normal = [*word.split("/"), "", ""][:3]
+    return (
+        _index(vertex, vertices),
+        _index(normal, normals) if normal else -1,
+        _index(texture, textures) if texture else -1,
+    )
 
 
 def _index(word: str, known: int) -> int:

@@ -1,6 +1,8 @@
 """A mesh, its material, and what it does in a scene."""
 
+import warnings
 from dataclasses import dataclass, field
+from typing import Literal
 
 from jaxtyping import Float32
 from torch import Tensor
@@ -11,12 +13,17 @@ from .material import Material, differs
 from .mesh import Mesh
 
 
+class TangentWarning(UserWarning):
+    """A surface whose streaks have a direction that nothing in its mesh says."""
+
+
 @dataclass(frozen=True, eq=False)
 class Object:
     """A mesh with a material and a role.
 
     A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it.
 
+    Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
     """
 
@@ -29,6 +36,16 @@ class Object:
             raise InputError(f'role {self.role!r} is not known: give "receiver" or "blocker"')
         if self.receives:
             self.material.albedo_of(self.mesh)
+            self.material.specular_of(self.mesh)
+            self.material.check_energy(self.mesh)
+        brdf = self.material.brdf
+        if self.glossy and brdf is not None and not brdf.isotropic and self.mesh.tangents is None:
+            warnings.warn(
+                f"{self.mesh.name} has an anisotropic gloss ({brdf.spec}) and no texture coordinates: its tangents are "
+                "a smooth field, guided by the x axis (another where the surface mostly faces along x)",
+                TangentWarning,
+                stacklevel=3,
+            )
 
     @property
     def receives(self) -> bool:
@@ -40,6 +57,26 @@ class Object:
         return self.material.albedo_of(self.mesh)
 
     @property
+    def specular(self) -> Float32[Tensor, "V C"]:
+        """Weight of the gloss at every vertex, C = 1 or 3; zero without a gloss."""
+        return self.material.specular_of(self.mesh)
+
+    @property
+    def glossy(self) -> bool:
+        """Whether it records glossy transfer."""
+        return self.receives and self.material.gloss is not None
+
+    @property
+    def tangent_field(self) -> Literal["", "uv", "smooth"]:
+        """Where its tangents come from: texture coordinates or tangents of the mesh ("uv"), or a smooth field.
+
+        Empty if it needs none.
+        """
+        if not self.glossy:
+            return ""
+        return "smooth" if self.mesh.tangents is None else "uv"
+
+    @property
     def coloured(self) -> bool:
         """Whether light that it reflects changes colour."""
-        return self.receives and differs(self.albedo)
+        return self.receives and (differs(self.albedo) or differs(self.specular))

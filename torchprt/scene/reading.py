@@ -27,6 +27,9 @@ class Raw(NamedTuple):
     normals: np.ndarray | None = None
     colours: np.ndarray | None = None
     """Linear RGB."""
+    uv: np.ndarray | None = None
+    """Texture coordinates of every corner, [F, 3, 2]; NaN where there are none."""
+    tangents: np.ndarray | None = None
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -38,6 +41,8 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
       each in place in the world.
     - Colours: whole numbers in a .ply are sRGB and become linear; floating point (.ply, .obj) is taken as
       linear; .glb is linear by its standard. Textures and materials are not read.
+    - Texture coordinates (`vt` of an .obj, `s t`, `u v`, `texture_u texture_v` or `s1 t1` of the vertices of a .ply,
+      TEXCOORD_0 of a .glb) give the tangents, unless the file holds tangents (TANGENT of a .glb).
     - An .obj does not say how much it holds: one that was cut at the end of a line cannot be told from a whole one.
 
     Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, compressed, without
@@ -67,7 +72,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
             f"{source} is damaged, cut short or not a {source.suffix.lower()} file of triangles "
             f"({_reason(fault)}): export the mesh again"
         ) from fault
-    return make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source)
+    return make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
 
 
 @contextlib.contextmanager
@@ -100,7 +105,7 @@ def _triangles(faces: Any) -> np.ndarray:
 
 
 def _join(pieces: list[Raw]) -> Raw:
-    """All pieces as one; normals or colours that only some pieces have are marked as missing in the others."""
+    """All pieces as one; what only some pieces have is marked as missing in the others, colours are left out."""
     if not pieces:
         return Raw(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     if len(pieces) == 1:
@@ -112,6 +117,12 @@ def _join(pieces: list[Raw]) -> Raw:
     colours = None
     if all(piece.colours is not None for piece in pieces):
         colours = np.concatenate([p.colours for p in pieces if p.colours is not None])
+    uv = None
+    if any(piece.uv is not None for piece in pieces):
+        uv = np.concatenate([np.full((len(p.faces), 3, 2), np.nan) if p.uv is None else p.uv for p in pieces])
+    tangents = None
+    if any(piece.tangents is not None for piece in pieces):
+        tangents = np.concatenate([np.zeros_like(p.positions) if p.tangents is None else p.tangents for p in pieces])
     return Raw(
         np.concatenate([piece.positions for piece in pieces]),
         # An index that is wrong in its own piece must not become right in the next.
@@ -123,6 +134,8 @@ def _join(pieces: list[Raw]) -> Raw:
         ),
         normals,
         colours,
+        uv,
+        tangents,
     )
 
 
@@ -145,7 +158,8 @@ def _read_ply(data: bytes, source: Path) -> list[Raw]:
             f"{source} is cut short or has faces of fewer than three corners, {len(faces)} of {declared} faces: "
             "export the mesh again"
         )
-    return [Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(elements["vertex"]))]
+    vertex = elements["vertex"]
+    return [Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))]
 
 
 def _refuse_short_ply(data: bytes, source: Path) -> None:
@@ -171,6 +185,16 @@ def _ply_colours(vertex: dict[str, Any]) -> np.ndarray | None:
         largest = np.array([np.iinfo(kind).max for kind in kinds], dtype=np.float64)
         return srgb_to_linear(np.stack(channels, axis=1) / largest)
     return np.stack(channels, axis=1).astype(np.float64)
+
+
+def _ply_uv(vertex: dict[str, Any], faces: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates of the corners of `faces`, under any of the names that exporters use."""
+    for names in (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("s1", "t1")):
+        if all(name in vertex["properties"] for name in names):
+            uv = np.stack([np.asarray(vertex["data"][name], np.float64).reshape(-1) for name in names], axis=1)
+            # A face that names no vertex is refused later, in words.
+            return uv[faces] if not faces.size or 0 <= faces.min() <= faces.max() < len(uv) else None
+    return None
 
 
 def _read_obj(data: bytes, source: Path) -> list[Raw]:
@@ -226,7 +250,7 @@ def _read_gltf(data: bytes, source: Path) -> list[Raw]:
     if compressed:
         raise InputError(f"{source} is compressed with {min(compressed)}: export the mesh without compression")
     loaded = (load_glb if binary else load_gltf)(
-        io.BytesIO(data), resolver=FilePathResolver(str(source)), skip_materials=True
+        io.BytesIO(_with_own_names(data, header, binary)), resolver=FilePathResolver(str(source)), skip_materials=True
     )
     geometry = loaded["geometry"]
     scene = Scene(base_frame=loaded["base_frame"])
@@ -243,6 +267,23 @@ def _read_gltf(data: bytes, source: Path) -> list[Raw]:
         matrix, _ = scene.graph[node["frame_to"]]
         pieces.append(_placed(piece, matrix))
     return pieces
+
+
+def _with_own_names(data: bytes, header: dict[str, Any], binary: bool) -> bytes:
+    """The file with its texture coordinates and tangents named so that trimesh hands them on without materials."""
+    for mesh in header.get("meshes", ()):
+        for primitive in mesh["primitives"]:
+            attributes = primitive["attributes"]
+            attributes.update(
+                {f"_{name}": attributes[name] for name in ("TEXCOORD_0", "TANGENT") if name in attributes}
+            )
+    text = json.dumps(header).encode()
+    if not binary:
+        return text
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + int.from_bytes(data[12:16], "little") :]
+    total = 20 + len(text) + len(rest)
+    return data[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + data[16:20] + text + rest
 
 
 def _placed(piece: dict[str, Any], matrix: np.ndarray) -> Raw:
@@ -262,7 +303,16 @@ def _placed(piece: dict[str, Any], matrix: np.ndarray) -> Raw:
     if colours is not None:
         largest = np.iinfo(colours.dtype).max if np.issubdtype(colours.dtype, np.integer) else 1
         colours = np.asarray(colours, np.float64)[:, :3] / largest
-    return Raw(positions, faces[:, ::-1] if mirrored else faces, normals, colours)
+    faces = faces[:, ::-1] if mirrored else faces
+    named = piece.get("vertex_attributes", {})
+    uv = named.get("_TEXCOORD_0")
+    if uv is not None:
+        inside = not faces.size or 0 <= faces.min() <= faces.max() < len(uv)
+        uv = np.asarray(uv, np.float64)[faces] if inside else None
+    tangents = named.get("_TANGENT")
+    if tangents is not None:
+        tangents = np.asarray(tangents, np.float64)[:, :3] @ linear.T
+    return Raw(positions, faces, normals, colours, uv, tangents)
 
 
 READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {

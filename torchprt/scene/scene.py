@@ -3,13 +3,14 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 from torchprt.errors import InputError
 
 from .geometry import Geometry, gather
 from .material import Albedo, Material
+from .material_file import read_material
 from .mesh import Mesh
 from .object import Object
 from .reading import read_mesh
@@ -22,8 +23,8 @@ Source = str | os.PathLike[str] | Mesh
 class Requirements:
     """What a bake must store for a scene, and no more."""
 
-    kind: Literal["diffuse"]
-    """Which kind of transfer."""
+    kind: Literal["diffuse", "glossy"]
+    """Which kind of transfer: glossy as soon as one receiver has a gloss."""
     channels: int
     """1, or 3 if light bounces off coloured surfaces."""
     bounces: int | float
@@ -59,30 +60,54 @@ class Scene:
         if not (bounces >= 0 and (math.isinf(bounces) or bounces == int(bounces))):
             raise InputError(f"bounces is {bounces}: give 0 for shadows alone, a whole number, or infinity")
         coloured = any(each.coloured for each in self.objects)
-        return Requirements(kind="diffuse", channels=3 if bounces and coloured else 1, bounces=bounces)
+        kind: Literal["diffuse", "glossy"] = "glossy" if any(each.glossy for each in self.objects) else "diffuse"
+        return Requirements(kind=kind, channels=3 if bounces and coloured else 1, bounces=bounces)
 
     def geometry(self) -> Geometry:
         """All objects as one set of tensors."""
         return gather(self.objects)
 
     def __str__(self) -> str:
-        """The report of every mesh, under its name and role."""
-        return "\n\n".join(f"{each.mesh.name} ({each.role})\n{each.mesh.report}" for each in self.objects)
+        """The report of every mesh, under its name and role, and what lies on it besides its albedo."""
+        return "\n\n".join(
+            "\n".join([f"{o.mesh.name} ({o.role})", str(o.mesh.report), *_finish(o)]) for o in self.objects
+        )
+
+
+def _finish(object: Object) -> list[str]:
+    lines = []
+    brdf = object.material.brdf
+    if object.glossy and brdf is not None:
+        source = {
+            "uv": "from the mesh (texture coordinates or its own)",
+            "smooth": "a smooth field, because the mesh has no texture coordinates",
+        }[object.tangent_field]
+        lines.append(f"Gloss {brdf.spec}, tangents {source}.")
+    if object.receives and object.material.translucency:
+        lines.append(f"Translucency {object.material.translucency:g}, both sides record.")
+    return lines
 
 
 def load(
     sources: Source | Sequence[Source],
-    albedo: Albedo = 0.5,
+    albedo: Albedo | None = None,
     two_sided: bool = False,
     blockers: Source | Sequence[Source] = (),
+    material: Material | str | None = None,
 ) -> Scene:
     """The scene of one or several mesh files (or meshes) of one material, and of blockers that only cast shadows.
 
-    `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files.
+    `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files; `material` a
+    material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file. An albedo given beside it
+    replaces that of the material, and `two_sided` adds to it.
 
-    Raises InputError as `read_mesh` and `Material` do, and if there is no mesh.
+    Raises InputError as `read_mesh`, `read_material` and `Material` do, and if there is no mesh.
     """
-    material = Material(albedo, two_sided)
+    material = read_material(material) if isinstance(material, str) else material or Material(albedo)
+    changes: dict[str, Any] = {"two_sided": True} if two_sided else {}
+    if albedo is not None:
+        changes["albedo"] = albedo
+    material = replace(material, **changes)
     receiving = [Object(_mesh(source), material) for source in _several(sources)]
     blocking = [Object(_mesh(source), Material(0.0), "blocker") for source in _several(blockers)]
     return Scene(receiving + blocking)

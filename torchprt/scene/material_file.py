@@ -1,0 +1,157 @@
+"""Materials from text: a word for the command line, or a .toml file."""
+
+import os
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchprt.brdf import Brdf, parse
+from torchprt.errors import InputError
+
+from .material import Material
+
+KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated")
+
+EXAMPLES = '"phong:40", "ggx:0.3,0.04", "ward:0.1,0.4", "membrane:0.5" or the name of a .toml file'
+
+
+def read_material(text: str | os.PathLike[str]) -> Material:
+    """The material that `text` says: a gloss, a membrane, or the name of a .toml file.
+
+    - "ggx:0.3,0.04", or any reflectance that `torchprt.brdf.parse` knows: that gloss over a black body.
+    - "membrane:0.5": a diffuse sheet of that translucency, albedo .5.
+    - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular` (as `Material` takes them) and
+      `gloss`, either text as above or a table of a `model` and its numbers by name (`roughness`, `f0`, `exponent`,
+      ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured values as `brdf.Tabulated` takes
+      them, beside the .toml. Needs Python 3.11.
+
+    Raises InputError, naming the file and the key, for anything else and as `Material` does.
+    """
+    name = os.fspath(text)
+    if name.lower().endswith(".toml"):
+        return _read_toml(Path(name))
+    model, _, numbers = name.strip().partition(":")
+    if model == "membrane":
+        try:
+            return Material(translucency=float(numbers))
+        except InputError as fault:
+            raise InputError(f"material '{name}': {fault}") from fault
+        except ValueError as fault:
+            raise InputError(f"material '{name}' needs its translucency: write it as membrane:0.5") from fault
+    try:
+        return Material(gloss=parse(name))
+    except InputError as fault:
+        raise InputError(f"material '{name}' cannot be used, give {EXAMPLES} ({fault})") from fault
+
+
+def _read_toml(source: Path) -> Material:
+    if sys.version_info < (3, 11):
+        raise InputError(f"{source} needs Python 3.11 or later to be read: give the material as text or in a program")
+    import tomllib
+
+    try:
+        content = tomllib.loads(source.read_text(encoding="utf-8"))
+    except FileNotFoundError as fault:
+        raise InputError(f"{source} does not exist: check the name") from fault
+    except OSError as fault:
+        raise InputError(f"{source} cannot be read ({fault.strerror}): check the name and its permissions") from fault
+    except ValueError as fault:  # Both of bad UTF-8 and of bad TOML.
+        raise InputError(f"{source} is not a .toml file ({fault}): mend it") from fault
+    unknown = [key for key in content if key not in KEYS]
+    if unknown:
+        raise InputError(f"{source} has an unknown key {unknown[0]!r}: use {', '.join(KEYS)}")
+    if "gloss" in content and "tabulated" in content:
+        raise InputError(f"{source} has both gloss and tabulated: keep one")
+    given: dict[str, Any] = {}
+    if "albedo" in content:
+        given["albedo"] = content["albedo"] if content["albedo"] == "vertex" else _colour(source, content, "albedo")
+    if "specular" in content:
+        given["specular"] = _colour(source, content, "specular")
+    if "translucency" in content:
+        given["translucency"] = _number(source, "translucency", content["translucency"])
+    if "two_sided" in content:
+        if not isinstance(content["two_sided"], bool):
+            raise InputError(f"{source} has two_sided = {content['two_sided']!r}: give true or false")
+        given["two_sided"] = content["two_sided"]
+    if "gloss" in content:
+        given["gloss"] = _gloss(source, content["gloss"])
+    if "tabulated" in content:
+        given["gloss"] = _table(source, content["tabulated"])
+    try:
+        return Material(**given)
+    except InputError as fault:
+        raise InputError(f"{source}: {fault}") from fault
+
+
+def _number(source: Path, key: str, value: Any) -> float:
+    # TOML keeps true apart from 1; Python does not.
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{source} has {key} = {value!r}: give a number")
+    return float(value)
+
+
+def _colour(source: Path, content: dict[str, Any], key: str) -> float | list[float]:
+    value = content[key]
+    if not isinstance(value, list):
+        return _number(source, key, value)
+    if len(value) != 3:
+        raise InputError(f"{source} has {key} of {len(value)} numbers: give one, or three (linear RGB)")
+    return [_number(source, key, each) for each in value]
+
+
+def _gloss(source: Path, value: Any) -> Brdf:
+    if isinstance(value, dict):
+        return _gloss_table(source, value)
+    if not isinstance(value, str):
+        raise InputError(f'{source} has gloss = {value!r}: give text as "ggx:0.3,0.04", or a table [gloss]')
+    try:
+        return parse(value)
+    except InputError as fault:
+        raise InputError(f"{source} has a gloss that cannot be used ({fault})") from fault
+
+
+def _gloss_table(source: Path, table: dict[str, Any]) -> Brdf:
+    from torchprt import brdf
+
+    models: dict[str, type[brdf.Model]] = {
+        model.name: model for model in (brdf.Lambert, brdf.Phong, brdf.BlinnPhong, brdf.GGX, brdf.Ward)
+    }
+    name = table.get("model")
+    if not isinstance(name, str) or name not in models:
+        raise InputError(f"{source} has [gloss] model = {name!r}: use one of {', '.join(models)}")
+    numbers = {key: _number(source, f"[gloss] {key}", value) for key, value in table.items() if key != "model"}
+    wanted = [field.name for field in fields(models[name])]  # type: ignore[arg-type]
+    unknown = [key for key in numbers if key not in wanted]
+    if unknown:
+        raise InputError(f"{source} has an unknown key {unknown[0]!r} in [gloss]: {name} takes {', '.join(wanted)}")
+    try:
+        return models[name](**numbers)
+    except InputError as fault:
+        raise InputError(f"{source} has a [gloss] that cannot be used ({fault})") from fault
+    except TypeError as fault:
+        raise InputError(f"{source} has a [gloss] without all its numbers: {name} takes {', '.join(wanted)}") from fault
+
+
+def _table(source: Path, name: Any) -> Brdf:
+    from torchprt.brdf import Tabulated
+
+    if not isinstance(name, str):
+        raise InputError(f'{source} has tabulated = {name!r}: give the name of a .npy file, "paint.npy"')
+    path = source.parent / name
+    try:
+        values = np.load(path, allow_pickle=False)
+    except FileNotFoundError as fault:
+        raise InputError(f"{source} names {path} as tabulated, which does not exist: check the name") from fault
+    except (OSError, ValueError, EOFError) as fault:
+        raise InputError(f"{source} names {path} as tabulated, which is not an .npy file: check the name") from fault
+    if not np.issubdtype(values.dtype, np.number) or np.issubdtype(values.dtype, np.complexfloating):
+        raise InputError(f"{path} holds {values.dtype}: give real numbers")
+    import torch
+
+    try:
+        return Tabulated(torch.from_numpy(values.astype(np.float64)))
+    except InputError as fault:
+        raise InputError(f"{path} cannot be used as a reflectance ({fault})") from fault
