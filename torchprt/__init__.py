@@ -17,6 +17,7 @@ from .errors import InputError as InputError
 from .version import VERSION as __version__
 
 if TYPE_CHECKING:
+    from . import brdf as brdf
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from . import transfer as transfer
     from .bake import bake as bake
 
-_ROOMS = ("bake", "light", "measure", "onnx", "preview", "scene", "sh", "shade", "trace", "transfer")
+_ROOMS = ("bake", "brdf", "light", "measure", "onnx", "preview", "scene", "sh", "shade", "trace", "transfer")
 _NAMES = {
     "load": "scene",
     "Scene": "scene",
