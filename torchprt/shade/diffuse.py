@@ -72,14 +72,7 @@ class DiffuseShader(nn.Module):
         Raises InputError if the light is not of the order of the transfer, or, outside a traced graph, if
         `rotation` is not a proper rotation within 1e-4.
         """
-        if light.shape[-2] != self.order**2:
-            raise InputError(
-                f"light has {light.shape[-2]} coefficients but the transfer is of order {self.order}: "
-                f"project the light with order={self.order}"
-            )
-        if rotation is not None:
-            # A graph takes its constants from the module; elsewhere the rotation is checked and the fast way taken.
-            light = self.turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)
+        light = turned_light(light, rotation, self.turn)
         albedo = self.albedo
         if albedo.shape[0] == 1:
             # One albedo for all receivers: applied to N numbers instead of V.
@@ -112,3 +105,16 @@ class DiffuseShader(nn.Module):
                 f"it has shape {tuple(out.shape)} and strides {out.stride()}"
             )
         return memory.view(math.prod(shape[:-1]), shape[-1])
+
+
+def turned_light(light: Tensor, rotation: Tensor | None, turn: Rotation) -> Tensor:
+    """`light [*B, N, 3]` as a shader uses it: turned if asked to, InputError if it is not of the order of `turn`."""
+    if light.shape[-2] != turn.order**2:
+        raise InputError(
+            f"light has {light.shape[-2]} coefficients but the transfer is of order {turn.order}: "
+            f"project the light with order={turn.order}"
+        )
+    if rotation is None:
+        return light
+    # A graph takes its constants from the module; elsewhere the rotation is checked and the fast way taken.
+    return turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)

@@ -10,19 +10,27 @@ from torchprt.errors import InputError
 from torchprt.sh import cube_basis
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.display import ToneMap, display
+from torchprt.shade.view import ViewShader
 
 
 class EnvironmentShader(nn.Module):
     """Shades straight from cube maps: `environment [..., 6, H, W, 3]` -> light -> rotation -> exit radiance.
 
     `size`: H = W of the cube maps. With `tone` the result is an sRGB picture value (exposure in stops, tone map,
-    sRGB), otherwise linear radiance. Gradients flow to the environment.
+    sRGB), otherwise linear radiance. Gradients flow to the environment, and to the eye if the shader takes one.
     Source: Sloan, Kautz and Snyder 2002, figure 2 and section 6.2.
     """
 
     weights: Tensor
 
-    def __init__(self, shader: DiffuseShader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None):
+    def __init__(
+        self,
+        shader: DiffuseShader | ViewShader,
+        size: int,
+        *,
+        exposure: float = 0.0,
+        tone: ToneMap | None = None,
+    ):
         super().__init__()
         if size < 2:
             raise InputError(f"size {size} of the cube map is too small: give at least 2")
@@ -30,13 +38,21 @@ class EnvironmentShader(nn.Module):
         self.size = size
         self.exposure = exposure
         self.tone: ToneMap | None = tone
-        table = cube_basis(shader.order, size, dtype=shader.transfer.dtype).to(shader.transfer.device)
+        table = cube_basis(shader.order, size, dtype=shader.turn.project.dtype).to(shader.turn.project.device)
         self.register_buffer("weights", table, persistent=False)
 
     def forward(
-        self, environment: Float[Tensor, "*#B 6 H W 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
+        self,
+        environment: Float[Tensor, "*#B 6 H W 3"],
+        rotation: Float[Tensor, "*#B 3 3"] | None = None,
+        *,
+        eye: Float[Tensor, "*#B 3"] | None = None,
+        view: Float[Tensor, "*#B 3"] | None = None,
     ) -> Float[Tensor, "... V 3"]:
-        """Radiance `[..., V, 3]`. Raises InputError if the cube map is not of the stated size."""
+        """Radiance `[..., V, 3]`; `eye` or `view` are passed to a shader that depends on them.
+
+        Raises InputError if the cube map is not of the stated size, or a diffuse shader is given an eye.
+        """
         if environment.shape[-3:-1] != (self.size, self.size):
             raise InputError(
                 f"environment has faces of {tuple(environment.shape[-3:-1])} texels but the graph was made for "
@@ -45,5 +61,10 @@ class EnvironmentShader(nn.Module):
         # `sh.project_cube` with the table in a buffer, so that the graph can be compiled and exported.
         texels = environment.movedim(-1, -4).reshape(*environment.shape[:-4], 3, 6 * self.size**2)
         light = linear(texels, self.weights).mT
-        radiance = self.shader(light, rotation)
+        if isinstance(self.shader, DiffuseShader):
+            if eye is not None or view is not None:
+                raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
+            radiance = self.shader(light, rotation)
+        else:
+            radiance = self.shader(light, rotation, eye=eye, view=view)
         return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)

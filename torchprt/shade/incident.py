@@ -1,0 +1,107 @@
+"""Exit radiance from transferred incident radiance: the reflectance is chosen at run time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.brdf import Brdf, exit_chain
+from torchprt.errors import InputError
+from torchprt.sh import Projection, bands, basis, exit_functions, phong
+from torchprt.shade.glossy import MatrixShader
+from torchprt.shade.view import with_normals
+from torchprt.transfer import GlossyTransfer, IncidentTransfer
+
+_CHUNK = 4096
+
+
+class IncidentShader(MatrixShader):
+    """Exit radiance of `IncidentTransfer` with a Phong lobe, or with any BRDF.
+
+    - `exponent` k, a number or a tensor of one or G: exit radiance is `sum_i A_l(k) y_i(r) (M l)_i`, r the mirror image
+      of the view about the normal: incident radiance blurred by the lobe (k + 1) / 2 pi max(r . s, 0)^k, whose integral
+      over the sphere is 1. There is no cosine beside it, so it stands for the BRDF that has the lobe divided by s_z,
+      and a white surface under a constant light is as bright as the light except where the lobe dips below the
+      horizon. It can be changed or learned ("exponent"); zero or more.
+    - `brdf`: `brdf.exit_chain` is applied instead, with `output_order` (of the transfer if omitted) and `projection`:
+      the same as the `GlossyTransfer` of `with_material`, which is faster.
+
+    Both err by what the transferred incident radiance lacks above its order. Made by `torchprt.shader(transfer)`;
+    `learn` may name "matrix", "specular", "albedo", "diffuse", and "exponent".
+    Raises InputError if both or neither are given or the exponent is negative, not finite or of another shape.
+    Source: Sloan, Kautz and Snyder 2002, section 6, equation 9; Sloan, Hall, Hart and Snyder 2003, section 3.2.
+    """
+
+    exponent: Tensor
+    chain: Tensor
+    band: Tensor
+
+    def __init__(
+        self,
+        transfer: IncidentTransfer,
+        exponent: float | int | Tensor | None = None,
+        *,
+        brdf: Brdf | None = None,
+        output_order: int | None = None,
+        projection: Projection = "optimal",
+        dtype: torch.dtype | None = None,
+        learn: Iterable[str] = (),
+    ):
+        if (exponent is None) == (brdf is None):
+            raise InputError("exponent and brdf: give one, exponent (of a Phong lobe) or brdf")
+        tensors = {"matrix": with_normals(transfer, transfer.matrix)}
+        device = transfer.matrix.device
+        if brdf is None:
+            value = torch.as_tensor(exponent, dtype=torch.float64, device=device)
+            if value.shape not in ((), (1,), (len(transfer.glossy),)):
+                raise InputError(
+                    f"exponent has shape {list(value.shape)}: give one, or one for each of the "
+                    f"{len(transfer.glossy)} glossy receivers"
+                )
+            if not bool((value.isfinite() & (value >= 0)).all()):
+                raise InputError("exponent must be finite and zero or more")
+            tensors["exponent"] = value
+        super().__init__(transfer, dtype, learn, tensors)
+        self.incident_order = transfer.output_order
+        self.output_order = output_order or transfer.output_order
+        self.projection = projection
+        if brdf is None:
+            self.register_buffer("band", bands(self.incident_order).to(device), persistent=False)
+        else:
+            chain = exit_chain(brdf, self.output_order, self.incident_order, projection)
+            self.register_buffer("chain", chain.to(device, self.matrix.dtype))
+
+    def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
+        """What the SH coefficients of transferred incident radiance are weighted with, for these views."""
+        if hasattr(self, "chain"):
+            return exit_functions(local, self.output_order, self.projection) @ self.chain
+        mirrored = local * local.new_tensor([-1.0, -1.0, 1.0])
+        return basis(mirrored, self.incident_order) * phong(self.exponent, self.incident_order)[..., self.band]
+
+
+def with_material(
+    incident: IncidentTransfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
+) -> GlossyTransfer:
+    """The glossy transfer of receivers that all have `brdf`: `brdf.exit_chain @ matrix`, in float64.
+
+    `output_order`: of the exit functions, that of `incident` if omitted. Light that bounced is as the materials of
+    `incident` reflected it. The result lacks what `incident` lacks above its own order, which a bake of glossy
+    transfer does not; `exit_error` is therefore not stated.
+    Source: Sloan, Hall, Hart and Snyder 2003, section 3.2.
+    """
+    order = output_order or incident.output_order
+    chain = exit_chain(brdf, order, incident.output_order, projection).to(incident.matrix.device, torch.float64)
+    matrix = incident.matrix.new_empty(*incident.matrix.shape[:2], *(len(chain), incident.matrix.shape[3]))
+    for start in range(0, len(incident.glossy), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        matrix[:, part] = (chain @ incident.matrix[:, part].double()).to(matrix.dtype)
+    shared = {
+        field.name: getattr(incident, field.name)
+        for field in dataclasses.fields(incident)
+        if field.name not in ("matrix", "materials")
+    }
+    return GlossyTransfer(**shared, matrix=matrix, materials=[brdf.spec], output_order=order, projection=projection)
