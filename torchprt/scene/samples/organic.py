@@ -8,10 +8,11 @@ from torch import Tensor
 from torchprt.errors import InputError
 
 from ..material import Albedo, Material
-from ..mesh import Mesh, make_mesh
+from ..mesh import Mesh
 from ..object import Object
 from ..scene import Scene
-from .surface_nets import Field, surface_nets
+from .closed import closed_mesh
+from .surface_nets import Field
 
 LOW, HIGH = 7, 5
 """Limbs that lie on the ground and limbs that rise."""
@@ -39,19 +40,7 @@ def _mesh(vertices: int) -> Mesh:
     centres, radii = _limbs()
     low = (centres - radii[..., None]).amin(dim=(0, 1)).numpy() - 0.15
     high = (centres + radii[..., None]).amax(dim=(0, 1)).numpy() + 0.15
-    field = _field(centres, radii)
-    # The number of vertices goes with the square of the resolution.
-    cell = 0.06
-    for attempt in range(12):
-        positions, faces = surface_nets(field, low, high, cell, relaxations=3 if attempt else 0)
-        close = attempt > 0 and abs(len(positions) - vertices) <= 0.02 * vertices
-        if close:
-            mesh = make_mesh(positions, faces, name="organic")
-            if mesh.report.watertight and mesh.report.components == 1:
-                return mesh
-        # A thin end that fell between the cells comes back on a slightly different grid.
-        cell *= 0.997 if close else (len(positions) / vertices) ** 0.5
-    raise RuntimeError(f"no closed surface of {vertices} vertices was found")
+    return closed_mesh(_field(centres, radii), low, high, vertices, "organic")
 
 
 def _limbs() -> tuple[Float[Tensor, "limbs beads 3"], Float[Tensor, "limbs beads"]]:
