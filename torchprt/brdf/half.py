@@ -21,37 +21,41 @@ from torch import Tensor
 _GRADING = 3
 
 
-def half_rule(fixed: Float64[Tensor, "D 3"], level: int) -> tuple[Float64[Tensor, "D Q 3"], Float64[Tensor, "D Q"]]:
-    """For every `fixed` unit direction above the horizon, Q = 2 `level`^2 other directions and weights in steradians.
+def half_rule(
+    fixed: Float64[Tensor, "D 3"], radial: int, around: int
+) -> tuple[Float64[Tensor, "D Q 3"], Float64[Tensor, "D Q"]]:
+    """For every `fixed` unit direction above the horizon, Q = `radial` * `around` other directions and weights.
 
-    The weights of one fixed direction sum to 2 pi in the limit of high levels; the Jacobian of a reflection,
-    4 (h . fixed), is in them.
+    `around` is a multiple of 4. The weights of one fixed direction sum to 2 pi in the limit; the Jacobian of a
+    reflection, 4 (h . fixed), is in them.
     """
-    radial, radial_weights, around, around_weights = (torch.from_numpy(part) for part in _nodes(level))
+    depth, depth_weights, turn, turn_weights = (torch.from_numpy(part) for part in _nodes(radial, around))
     z = fixed[:, 2:]
     across = torch.linalg.vector_norm(fixed[:, :2], dim=-1, keepdim=True)
-    # At the pole any azimuth will do.
-    azimuth = torch.atan2(fixed[:, 1:2], fixed[:, :1])
-    turned = across * around.cos()
-    longest = math.pi / 4 + torch.atan2(turned, z) / 2
-    tilt = longest[..., None] * radial**_GRADING
-    stretch = longest[..., None] * (_GRADING * radial ** (_GRADING - 1) * radial_weights)
+    turned = across * turn.cos()
+    longest = (math.pi / 4 + torch.atan2(turned, z) / 2)[..., None]
+    tilt = longest * depth
     sine, cosine = tilt.sin(), tilt.cos()
-    phi = (azimuth + around)[..., None]
+    # At the pole any azimuth will do.
+    phi = (torch.atan2(fixed[:, 1:2], fixed[:, :1]) + turn)[..., None]
     half = torch.stack([sine * phi.cos(), sine * phi.sin(), cosine], -1)
     along = turned[..., None] * sine + z[..., None] * cosine
     other = 2 * along[..., None] * half - fixed[:, None, None]
-    weights = 4 * along * sine * stretch * around_weights[:, None]
+    weights = 4 * along * sine * (longest * depth_weights) * turn_weights[:, None]
     return other.flatten(1, 2), weights.flatten(1, 2)
 
 
-@functools.lru_cache(maxsize=16)
-def _nodes(level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    nodes, weights = np.polynomial.legendre.leggauss(level)
-    radial, radial_weights = (nodes + 1) / 2, weights / 2
-    nodes, weights = np.polynomial.legendre.leggauss(level // 2)
-    away = (nodes + 1) / 2
-    step = math.pi / 2 * away**_GRADING
-    step_weights = math.pi / 2 * _GRADING * away ** (_GRADING - 1) * weights / 2
-    around = np.concatenate([side * math.pi / 2 + way * step for side in (1, -1) for way in (1, -1)])
-    return radial, radial_weights, around, np.tile(step_weights, 4)
+@functools.lru_cache(maxsize=32)
+def _nodes(radial: int, around: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of the longest tilt and azimuths, both graded, with their weights."""
+    depth, depth_weights = _graded(radial)
+    step, step_weights = _graded(around // 4)
+    turn = np.concatenate([math.pi / 2 * (side + way * step) for side in (1, -1) for way in (1, -1)])
+    return depth, depth_weights, turn, np.tile(math.pi / 2 * step_weights, 4)
+
+
+def _graded(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Legendre on [0, 1] in a variable whose cube is integrated over: nodes crowd toward zero."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes = (nodes + 1) / 2
+    return nodes**_GRADING, _GRADING * nodes ** (_GRADING - 1) * weights / 2

@@ -70,10 +70,7 @@ def exit_chain(brdf: Brdf, order: int, order_in: int, projection: Projection = "
         onto = sh.basis(directions, order_in).mT @ (weights[:, None] * sh.hemisphere_basis(directions, order_in))
         return torch.linalg.solve(onto, incident, left=False)
     between = _matrix(brdf, sh.basis, order, sh.basis, order_in)
-    incident = sh.hemisphere_projection(
-        order_in, "optimal" if projection == "reduced" else projection, reduced=projection == "reduced"
-    )
-    return _projection(order, projection) @ between @ incident
+    return _projection(order, projection) @ between @ _square_projection(order_in, projection)
 
 
 def exit_error(brdf: Brdf, order: int, light_order: int = 5, projection: Projection = "optimal") -> float:
@@ -111,9 +108,12 @@ def _matrix(brdf: Brdf, family_out, order_out: int, family_in, order_in: int) ->
 
 def _projection(order: int, projection: Projection) -> Float64[Tensor, "M N"]:
     """From the products of a function with the spherical harmonics to the coefficients of exit functions."""
-    if projection in ("optimal", "reduced"):
-        full = sh.hemisphere_projection(order, "optimal", reduced=projection == "reduced")
-    else:
-        full = sh.hemisphere_projection(order, projection)
+    square = _square_projection(order, projection)
     # "reduced" leaves one row out, which is zero here.
-    return full[full.abs().sum(1) > 0] if projection == "reduced" else full
+    return square[square.abs().sum(1) > 0] if projection == "reduced" else square
+
+
+def _square_projection(order: int, projection: Projection) -> Float64[Tensor, "N N"]:
+    if projection == "reduced":
+        return sh.hemisphere_projection(order, "optimal", reduced=True)
+    return sh.hemisphere_projection(order, projection)

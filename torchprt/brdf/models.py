@@ -172,7 +172,7 @@ class GGX(Model):
 
 @dataclass(frozen=True)
 class Ward(Model):
-    """Ward's anisotropic model with bounded albedo: f = exp(-(h_x^2/a_x^2 + h_y^2/a_y^2)/h_z^2) h.h / (pi a_x a_y h_z^4).
+    """Ward's anisotropic model: f = exp(-(h_x^2 / a_x^2 + h_y^2 / a_y^2) / h_z^2) h.h / (pi a_x a_y h_z^4).
 
     h = view + light, not normalised. `roughness_x` along the tangent, `roughness_y` along the bitangent, both in
     [0.01, 1]; f itself grows without bound toward grazing mirror directions, its albedo does not.
@@ -190,9 +190,8 @@ class Ward(Model):
 
     @property
     def isotropic(self) -> bool:  # type: ignore[override]
-        return not any(isinstance(r, Tensor) for r in (self.roughness_x, self.roughness_y)) and (
-            self.roughness_x == self.roughness_y
-        )
+        x, y = self.roughness_x, self.roughness_y
+        return not isinstance(x, Tensor) and not isinstance(y, Tensor) and x == y
 
     @property
     def width(self) -> float:  # type: ignore[override]
