@@ -74,27 +74,43 @@ def smooth_tangents(
     vertex, t = 1000; then twice more with g the unit directions of the last solution. Rows of `guide` that are not
     zero are kept (made orthogonal to the normal, unit) and flow into the others. Where a closed surface forces it
     (any but a torus) the field has poles.
-    Vertices at one position are joined. A vertex with a zero normal gets a unit tangent, any.
+    Vertices at one position are joined; with equal normals too they get one tangent. A vertex with a zero normal gets
+    a unit tangent, any.
     Depends on the normals and on which vertices are neighbours, on nothing else: so on neither scale nor place. The
     same bits for any number of threads.
     Source: Knöppel et al. 2013, "Globally optimal direction fields", sections 4 and 5 (alignment to a guide).
     """
     lit = np.any(normals != 0, axis=1)
     normals = np.where(lit[:, None], normals, [0.0, 0.0, 1.0])
-    first, second = _bases(normals)
     guide = np.zeros_like(normals) if guide is None else orthogonal(guide, normals)
-    kept = np.any(guide != 0, axis=1) & lit
-    one, other = _neighbours(positions, faces)
-    # Copies and neighbours back to back have no shared direction: the weight fades before transport fails.
+    guide = np.where(lit[:, None], guide, 0.0)
+    place = weld(positions)
+    # Copies with the same normal are one node, whatever the seam between them is for.
+    sample, node = np.unique(place * len(place) + weld(normals), return_index=True, return_inverse=True)[1:]
+    means = np.stack([np.bincount(node, guide[:, k], len(sample)) for k in range(3)], axis=1)
+    field = _field(place[sample], node[faces], normals[sample], lit[sample], orthogonal(means, normals[sample]))
+    return orthogonal(np.where(np.any(guide != 0, axis=1)[:, None], guide, field[node]), normals)
+
+
+def _field(
+    place: Int[np.ndarray, "V"],
+    faces: Int[np.ndarray, "F 3"],
+    normals: Float[np.ndarray, "V 3"],
+    lit: Bool[np.ndarray, "V"],
+    guide: Float[np.ndarray, "V 3"],
+) -> Float[np.ndarray, "V 3"]:
+    """The field over nodes at places, none of whose normals is zero; those that are not `lit` stay by themselves."""
+    first, second = _bases(normals)
+    kept = np.any(guide != 0, axis=1)
+    one, other = _neighbours(place, faces)
+    # Neighbours back to back have no shared direction: the weight fades before transport fails.
     weight = 0.5 * (1 + np.einsum("ij,ij->i", normals[one], normals[other])) * (lit[one] & lit[other])
     near = weight > 1e-3
     one, other, weight = one[near], other[near], weight[near]
     aim = np.where(kept[:, None], guide, _axes(normals, one, other))
     start = np.einsum("ij,ij->i", aim, first) + 1j * np.einsum("ij,ij->i", aim, second)
     angle = _diffused(start, kept, _transport(normals, first, second, one, other, weight))
-    tangents = angle.real[:, None] * first + angle.imag[:, None] * second
-    tangents = np.where(kept[:, None], guide, tangents)
-    return orthogonal(tangents, normals)
+    return angle.real[:, None] * first + angle.imag[:, None] * second
 
 
 def orthogonal(vectors: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
@@ -129,11 +145,11 @@ def _bases(normals: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "V 3"],
 
 
 def _neighbours(
-    positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    place: Int[np.ndarray, "V"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Int[np.ndarray, "E"], Int[np.ndarray, "E"]]:
-    """Pairs of vertices that share an edge of a face or a position, each pair once."""
-    vertices = len(positions)
-    order = np.argsort(place := weld(positions), kind="stable")
+    """Pairs of nodes that share an edge of a face or follow each other at a place, each pair once."""
+    vertices = len(place)
+    order = np.argsort(place, kind="stable")
     copies = place[order[1:]] == place[order[:-1]]
     tail = np.concatenate([faces.ravel(), order[:-1][copies]])
     head = np.concatenate([np.roll(faces, -1, axis=1).ravel(), order[1:][copies]])
