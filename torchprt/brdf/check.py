@@ -29,7 +29,7 @@ def directional_albedo(brdf: Brdf, view: Float[Tensor, "*D 3"]) -> Float64[Tenso
     views = view.detach().reshape(-1, 3).double()
     if len(views) == 0:
         return views.new_zeros(view.shape[:-1])
-    _, albedo = settled(brdf, views, lambda s: torch.ones_like(s[..., :1]), over="lights", tolerance=_ACCURACY)
+    _, albedo = settled(brdf.plain(), views, lambda s: torch.ones_like(s[..., :1]), over="lights", tolerance=_ACCURACY)
     return albedo.reshape(view.shape[:-1])
 
 
@@ -56,6 +56,7 @@ def reciprocity_error(brdf: Brdf) -> float:
 
     Half of the pairs are near mirror directions, where narrow lobes are.
     """
+    brdf = brdf.plain()
     directions, _ = sh.fibonacci(8192)
     views = directions[directions[:, 2] > 0]
     generator = torch.Generator().manual_seed(0)

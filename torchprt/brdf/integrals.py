@@ -43,6 +43,7 @@ def integrals(
     Zero for fixed directions at or below the horizon.
     Raises InputError if the reflectance is too narrow for that.
     """
+    brdf = brdf.plain()
     spline, azimuths = _table(brdf, family, order, over)
     parts = [fixed.new_zeros(0, order * order)]
     band = sh.bands(order)

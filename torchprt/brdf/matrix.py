@@ -82,16 +82,24 @@ def exit_error(brdf: Brdf, order: int, light_order: int = 5, projection: Project
     """
     sh.exit_count(order, projection)
     sh.exit_count(light_order)
-    # Exact for products of exit functions; exit radiance itself is smooth on the scale of the light, or of the lobe
-    # near the horizon.
-    directions, weights = sh.gauss_legendre_hemisphere(max(4 * order, 96, min(int(8 / brdf.width), _LARGEST_DEGREE)))
-    exact = integrals(brdf, directions, sh.basis, light_order, over="lights")
+    directions, weights, exact = exit_radiance(brdf, order, light_order)
     family = sh.hemisphere_basis if projection == "optimal" else sh.basis
     products = family(directions, order).mT @ (weights[:, None] * exact)
     coefficients = products if projection == "optimal" else _projection(order, projection) @ products
     rest = exact - sh.exit_functions(directions, order, projection) @ coefficients
     power = float((weights[:, None] * exact.square()).sum())
     return math.sqrt(float((weights[:, None] * rest.square()).sum()) / power) if power > 0 else 0.0
+
+
+def exit_radiance(
+    brdf: Brdf, order: int, light_order: int
+) -> tuple[Float64[Tensor, "D 3"], Float64[Tensor, " D"], Float64[Tensor, "D N"]]:
+    """Views and weights that integrate products with exit functions of `order`, and the exact radiance toward them
+    under each function of an unshadowed light."""
+    # Exit radiance is smooth on the scale of the light, or of the lobe near the horizon.
+    degree = max(4 * order, 96, min(int(8 / brdf.width), _LARGEST_DEGREE))
+    directions, weights = sh.gauss_legendre_hemisphere(degree)
+    return directions, weights, integrals(brdf, directions, sh.basis, light_order, over="lights")
 
 
 def _matrix(brdf: Brdf, family_out, order_out: int, family_in, order_in: int) -> Tensor:  # type: ignore[no-untyped-def]

@@ -51,6 +51,10 @@ class Brdf(abc.ABC):
     def spec(self) -> str:
         """Text that `parse` turns into an equal model."""
 
+    def plain(self) -> Brdf:
+        """The same with numbers in place of tensors, for what is computed once, without gradients."""
+        return self
+
     @abc.abstractmethod
     def _above(self, view: Tensor, light: Tensor) -> Tensor:
         """f where both directions are above the horizon."""
@@ -66,6 +70,11 @@ class Model(Brdf):
         """Text that `parse` turns into an equal model: the name, a colon, the numbers."""
         numbers = ",".join(_text(value, field) for field, value in self._numbers().items())
         return f"{self.name}:{numbers}" if numbers else self.name
+
+    def plain(self) -> Brdf:
+        """The same with numbers in place of tensors. Raises InputError if a tensor holds several."""
+        fields = [field.name for field in dataclasses.fields(self)]  # type: ignore[arg-type]
+        return type(self)(*(_single(getattr(self, field), field) for field in fields))
 
     def _numbers(self) -> dict[str, Parameter]:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
@@ -154,6 +163,11 @@ class GGX(Model):
     @property
     def width(self) -> float:  # type: ignore[override]
         return _least(self.roughness)
+
+    def plain(self) -> Brdf:
+        """The same with numbers in place of tensors. Raises InputError if a tensor holds several."""
+        fields = [field.name for field in dataclasses.fields(self)]  # type: ignore[arg-type]
+        return type(self)(*(_single(getattr(self, field), field) for field in fields))
 
     def _numbers(self) -> dict[str, Parameter]:
         numbers = super()._numbers()
@@ -249,7 +263,13 @@ def _largest(value: Parameter) -> float:
     return float(value.max()) if isinstance(value, Tensor) else float(value)
 
 
+def _single(value: Parameter, name: str) -> float | int:
+    if isinstance(value, Tensor):
+        if value.numel() != 1:
+            raise InputError(f"{name} holds {value.numel()} numbers: give one, a reflectance for each")
+        return float(value)
+    return value
+
+
 def _text(value: Parameter, name: str) -> str:
-    if isinstance(value, Tensor) and value.numel() != 1:
-        raise InputError(f"{name} holds {value.numel()} numbers: a spec has room for one, give a number")
-    return repr(float(value)).removesuffix(".0")
+    return repr(float(_single(value, name))).removesuffix(".0")

@@ -19,6 +19,8 @@ def parse(text: str) -> Brdf:
     Raises InputError for another name, another count of numbers, or numbers out of range.
     """
     name, colon, rest = text.strip().partition(":")
+    if name in ("tabulated", "measured"):
+        raise InputError(f"reflectance '{text}' is not in the text: give the table or the function itself again")
     if name not in _MODELS:
         raise InputError(f"reflectance '{text}' is unknown: use one of {_EXAMPLES}")
     fields = dataclasses.fields(_MODELS[name])  # type: ignore[arg-type]
