@@ -87,7 +87,8 @@ class Lambert(Model):
     name: ClassVar[str] = "lambert"
 
     def _above(self, view: Tensor, light: Tensor) -> Tensor:
-        return torch.full_like(view[..., 2] + light[..., 2], 1 / math.pi)
+        # Part of the graph, so that a gradient can be asked for: it is zero.
+        return (view[..., 2] + light[..., 2]) * 0 + 1 / math.pi
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,8 @@ class GGX(Model):
         half, length = _half(view, light)
         hx, hy, hz = (half / length[..., None]).unbind(-1)
         facets = squared / (math.pi * (hx * hx + hy * hy + squared * hz * hz).square())
-        fresnel = self.f0 + (1 - self.f0) * (1 - length / 2).pow(5)
+        # The cosine exceeds 1 by rounding.
+        fresnel = self.f0 + (1 - self.f0) * (1 - length / 2).clamp(min=0).pow(5)
         return facets * fresnel / (_smith(view, squared) * _smith(light, squared))
 
 
@@ -219,7 +221,9 @@ class Ward(Model):
         gone = fall > 1e4
         x, y = torch.where(gone, 0.0, x), torch.where(gone, 0.0, y)
         fall = (x / self.roughness_x).square() + (y / self.roughness_y).square()
-        value = torch.exp(-fall) * (1 + x * x + y * y) / (math.pi * self.roughness_x * self.roughness_y * hz * hz)
+        value = torch.exp(-fall) * (1 + x * x + y * y) / (math.pi * self.roughness_x * self.roughness_y)
+        # Twice by hz: the square of its square, in the gradient, would leave the range of float32.
+        value = value / hz / hz
         return torch.where(gone, 0.0, value)
 
 
