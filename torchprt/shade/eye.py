@@ -29,8 +29,8 @@ def local_frames(
 
 def toward_eye(
     points: Float[Tensor, "3 G"], eye: Float[Tensor, "*B 3"] | None, view: Float[Tensor, "*B 3"] | None
-) -> Float[Tensor, "3 *B G"]:
-    """World directions toward the eye, of any length: `eye` a point, `view` one direction for all receivers (G = 1).
+) -> Float[Tensor, "3 ..."]:
+    """World directions toward the eye, of any length, `[3, *B, G]`; G = 1 for `view`, one direction for all receivers.
 
     Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
     are finite and `view` is not zero.

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchprt.brdf import sample_hemisphere_map
 from torchprt.sh import exit_functions
 from torchprt.shade.view import ViewShader, matrix_coefficients, matrix_vectors, with_normals
 from torchprt.transfer import FactoredTransfer, GlossyTransfer
@@ -68,6 +69,4 @@ class FactoredShader(MatrixShader):
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """The factors at the local unit directions toward the eye."""
-        from torchprt.brdf.factor import sample_hemisphere_map
-
         return sample_hemisphere_map(self.factors, local) if self.views is None else self.views(local)
