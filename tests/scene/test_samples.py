@@ -6,14 +6,29 @@ import torch
 import trimesh
 
 from torchprt.errors import InputError
-from torchprt.scene.samples import coloured_box, organic, plane_and_blocker
+from torchprt.scene.samples import coloured_box, dish, organic, plane_and_blocker, teapot
 from torchprt.scene.samples.surface_nets import surface_nets
 
 
-@pytest.mark.parametrize("make", [lambda: organic(7999), lambda: plane_and_blocker(0), lambda: coloured_box(3)])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: organic(7999),
+        lambda: plane_and_blocker(0),
+        lambda: coloured_box(3),
+        lambda: teapot(7999),
+        lambda: dish(15),
+    ],
+)
 def test_refuses_too_little_detail(make):
     with pytest.raises(InputError, match="give at least"):
         make()
+
+
+@pytest.mark.parametrize("make", [teapot, dish])
+def test_refuses_a_material_that_is_none(make):
+    with pytest.raises(InputError, match="material 'glass'"):
+        make(material="glass")
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +115,73 @@ def test_samples_do_not_care_whether_gradients_are_recorded(mode):
     with mode():
         quiet = organic(8000).geometry().positions
     assert torch.equal(quiet, organic(8000).geometry().positions)
+
+
+@pytest.fixture(scope="module")
+def pot():
+    return teapot(8000).objects[0]
+
+
+def test_the_teapot_is_closed_glossy_and_stands_on_the_ground(pot):
+    report = pot.mesh.report
+    assert report.watertight
+    assert not report.inside_out
+    assert report.components == 1
+    assert report.degenerate_faces == report.missing_normals == report.duplicate_vertices == 0
+    assert abs(report.vertices - 8000) <= 160
+    assert abs(pot.mesh.positions[:, 1].min()) < 0.01
+    assert pot.material.brdf.spec == "ggx:0.3"
+    peer = trimesh.Trimesh(pot.mesh.positions.numpy(), pot.mesh.faces.numpy(), process=False)
+    # One handle: the hole between it and the body.
+    assert peer.euler_number == 0
+    assert np.degrees(np.median(peer.face_angles.min(axis=1))) > 35
+
+
+def test_the_body_of_the_teapot_faces_its_spout(pot):
+    peer = trimesh.Trimesh(pot.mesh.positions.numpy(), pot.mesh.faces.numpy(), process=False)
+    # A ray from the body, up and outward, meets the spout; on the other side, the handle; to the front, nothing.
+    starts, ways = [[0.87, 0.75, 0.0], [-0.87, 0.75, 0.0], [0.0, 0.75, 0.87]], [[1, 0, 0], [-1, 0, 0], [0, 0, 1.0]]
+    met = peer.ray.intersects_any(np.array(starts), np.array(ways))
+    assert met.tolist() == [True, True, False]
+
+
+def test_the_knob_shades_the_lid(pot):
+    peer = trimesh.Trimesh(pot.mesh.positions.numpy(), pot.mesh.faces.numpy(), process=False)
+    lid = np.array([[0.25, 1.23, 0.0], [0.0, 1.23, -0.25]])
+    way = np.array([[0.0, 1.38, 0.0]]) - lid
+    assert peer.ray.intersects_any(lid, way).all()
+    assert not peer.ray.intersects_any(lid, -way * [1, -1, 1]).any()
+
+
+def test_the_teapot_takes_a_material():
+    assert teapot(8000, "membrane:0.5").objects[0].material.translucency == 0.5
+
+
+@pytest.fixture(scope="module")
+def plate():
+    return dish(24).objects[0]
+
+
+def test_the_dish_is_closed_brushed_and_stands_on_the_ground(plate):
+    report = plate.mesh.report
+    assert report.watertight
+    assert not report.inside_out
+    assert report.components == 1
+    assert report.degenerate_faces == report.missing_normals == report.duplicate_vertices == 0
+    assert report.missing_tangents == 2
+    assert float(plate.mesh.positions[:, 1].min()) == 0
+    assert not plate.material.brdf.isotropic
+    assert plate.tangent_field == "uv"
+
+
+@pytest.mark.parametrize(("resolution", "vertices"), [(16, 482), (128, 32514)])
+def test_the_dish_has_the_vertices_it_promises(resolution, vertices):
+    assert len(dish(resolution).objects[0].mesh.positions) == vertices
+
+
+def test_the_knob_of_the_dish_shades_its_inside(plate):
+    peer = trimesh.Trimesh(plate.mesh.positions.numpy(), plate.mesh.faces.numpy(), process=False)
+    floor = np.array([[0.5, 0.1, 0.0], [0.0, 0.1, 0.5]])
+    way = np.array([[0.0, 0.33, 0.0]]) - floor
+    assert peer.ray.intersects_any(floor, way).all()
+    assert not peer.ray.intersects_any(floor, np.tile([0.0, 1, 0], (2, 1))).any()

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-from torchprt.brdf import Brdf, parse
+from torchprt import brdf
+from torchprt.brdf import Brdf, Tabulated, parse
 from torchprt.errors import InputError
 
 from .material import Material
@@ -114,8 +116,6 @@ def _gloss(source: Path, value: Any) -> Brdf:
 
 
 def _gloss_table(source: Path, table: dict[str, Any]) -> Brdf:
-    from torchprt import brdf
-
     models: dict[str, type[brdf.Model]] = {
         model.name: model for model in (brdf.Lambert, brdf.Phong, brdf.BlinnPhong, brdf.GGX, brdf.Ward)
     }
@@ -136,8 +136,6 @@ def _gloss_table(source: Path, table: dict[str, Any]) -> Brdf:
 
 
 def _table(source: Path, name: Any) -> Brdf:
-    from torchprt.brdf import Tabulated
-
     if not isinstance(name, str):
         raise InputError(f'{source} has tabulated = {name!r}: give the name of a .npy file, "paint.npy"')
     path = source.parent / name
@@ -149,9 +147,7 @@ def _table(source: Path, name: Any) -> Brdf:
         raise InputError(f"{source} names {path} as tabulated, which is not an .npy file: check the name") from fault
     if not np.issubdtype(values.dtype, np.number) or np.issubdtype(values.dtype, np.complexfloating):
         raise InputError(f"{path} holds {values.dtype}: give real numbers")
-    import torch
-
     try:
-        return Tabulated(torch.from_numpy(values.astype(np.float64)))
+        return Tabulated(torch.from_numpy(values.astype(np.float64)), spec=f"tabulated:{path.name}")
     except InputError as fault:
         raise InputError(f"{path} cannot be used as a reflectance ({fault})") from fault
