@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from transfers import KINDS, random_glossy
 
 from torchprt.errors import InputError
 from torchprt.sh import cube_directions, evaluate, project_cube, yaw_pitch_roll
@@ -73,3 +74,33 @@ def test_gradients_reach_the_environment_and_the_rotation(make_transfer):
     environment = cubes(1, size=2, dtype=torch.float64).requires_grad_()
     rotation = torch.eye(3, dtype=torch.float64)[None].clone().requires_grad_()
     assert torch.autograd.gradcheck(graph, (environment, rotation))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_eye_reaches_a_shader_that_depends_on_it(kind):
+    module = shader(random_glossy(kind))
+    environment, turn = cubes(2), yaw_pitch_roll(torch.tensor([10.0, 120.0, 33.0]))
+    eye = torch.tensor([1.0, 2.0, 3.0])
+    light = project_cube(environment, 4)
+    for look in ({"eye": eye}, {"view": eye}):
+        found = EnvironmentShader(module, 8)(environment, turn, **look)
+        wanted = module(light, turn, **look)
+        assert (found - wanted).abs().max() <= 64 * torch.finfo(torch.float32).eps * wanted.abs().max()
+    with pytest.raises(InputError, match="neither is given"):
+        EnvironmentShader(module, 8)(environment)
+
+
+def test_refuses_an_eye_that_a_diffuse_shader_cannot_use(make_transfer):
+    eye = torch.tensor([1.0, 2.0, 3.0])
+    for module in (shader(make_transfer()), shader(random_glossy()).fix_eye(eye=eye)):
+        for look in ({"eye": eye}, {"view": eye}):
+            with pytest.raises(InputError, match="eye or view is given, but what this shader gives does not depend"):
+                EnvironmentShader(module, 8)(cubes(), **look)
+
+
+def test_a_fixed_eye_is_shaded_from_cube_maps_too():
+    module = shader(random_glossy())
+    eye = torch.tensor([1.0, 2.0, 3.0])
+    found = EnvironmentShader(module.fix_eye(eye=eye), 8)(cubes(2))
+    wanted = EnvironmentShader(module, 8)(cubes(2), eye=eye)
+    assert (found - wanted).abs().max() <= 64 * torch.finfo(torch.float32).eps * wanted.abs().max()

@@ -122,6 +122,7 @@ def _in_place(xyz: Tensor, tables: tuple[Tensor, ...], order: int) -> Tensor:
     return rows
 
 
+@torch.compiler.assume_constant_result
 def _tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
     # As in `basis`: a cache would leak traced tensors into later calls.
     build = _build_tables if torch.compiler.is_compiling() else _cached_tables

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh import check_rotation
+from torchprt.sh import check_rotation, to_horizon
 from torchprt.sh.basis import values_are_at_hand
 
 
@@ -55,22 +55,15 @@ def toward_eye(
 
 
 def local_views(toward: Float[Tensor, "3 *B #G"], frames: Float[Tensor, "3 3 G"]) -> Float[Tensor, "*B G 3"]:
-    """Unit directions `toward` the eye in the local frames, none below the horizon; memory has components first.
+    """Unit directions `toward` the eye in the local frames; memory has components first.
 
-    An eye below the tangent plane of a receiver is moved to the horizon, z = 0: the silhouette of a smoothly shaded
-    mesh has such receivers, and black ones would draw a rim. An eye at the receiver (no coordinate farther than the
-    square root of the smallest number, 1e-19 in float32) or straight below it looks along the normal.
-    Values and gradients are finite in every case.
+    An eye below the tangent plane of a receiver is moved to the horizon: the silhouette of a smoothly shaded mesh has
+    such receivers, and black ones would draw a rim. An eye at the receiver (no coordinate farther than the square root
+    of the smallest number, 1e-19 in float32) or straight below it looks along the normal.
     """
-    # Divided by the largest component first: squares of the very long and the very short leave the range.
+    # Divided by the largest component first: the far and the near must not leave the range.
     largest = toward.detach().abs().amax(0)
-    tiny = torch.finfo(toward.dtype).tiny ** 0.5
-    scaled = toward / torch.where(largest <= tiny, torch.inf, largest)
+    at_receiver = largest <= torch.finfo(toward.dtype).tiny ** 0.5
+    scaled = toward / torch.where(at_receiver, torch.inf, largest)
     wide = frames.reshape(3, 3, *(1,) * (toward.ndim - 2), frames.shape[-1])
-    x, y, z = (wide * scaled).sum(1)
-    raised = torch.stack([x, y, torch.clamp(z, min=0)])
-    squared = raised.square().sum(0)
-    lost = squared <= tiny
-    pole = torch.stack([torch.zeros_like(x), torch.zeros_like(y), torch.ones_like(z)])
-    unit = torch.where(lost, pole, raised / torch.where(lost, 1.0, squared).sqrt())
-    return unit.movedim(0, -1)
+    return to_horizon((wide * scaled).sum(1).movedim(0, -1))

@@ -186,7 +186,7 @@ class ViewShader(nn.Module, abc.ABC):
         # Dimensions along which the eye changes are those of a batched product; all others add lights to it.
         paired = [axis for axis, size in enumerate(eyes) if size != 1]
         shared = [axis for axis, size in enumerate(eyes) if size == 1]
-        count = math.prod(batch[axis] for axis in paired)
+        count = math.prod([batch[axis] for axis in paired])
         receivers = len(self.glossy)
         vectors = self.vectors(values.reshape(count, *values.shape[-2:]))
         if len(self.specular) == 1:
