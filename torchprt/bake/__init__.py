@@ -8,12 +8,13 @@ import types
 from typing import Any
 
 from .bake import bake as bake
+from .bake_glossy import OrderWarning as OrderWarning
 from .checkpoint import CheckpointWarning as CheckpointWarning
 from .diffuse import unshadowed as unshadowed
 from .directions import frames as frames
 from .directions import hemisphere as hemisphere
 
-__all__ = ["CheckpointWarning", "bake", "frames", "hemisphere", "unshadowed"]
+__all__ = ["CheckpointWarning", "OrderWarning", "bake", "frames", "hemisphere", "unshadowed"]
 
 
 class _Verb(types.ModuleType):

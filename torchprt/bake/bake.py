@@ -1,4 +1,4 @@
-"""From a scene to its diffuse transfer."""
+"""From a scene to its transfer."""
 
 from __future__ import annotations
 
@@ -13,14 +13,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchprt.bake import bake_glossy, result
+from torchprt.bake.bake_glossy import Frame, Wanted
 from torchprt.bake.checkpoint import Checkpoint, fingerprint
 from torchprt.bake.diffuse import unshadowed
+from torchprt.bake.directions import hemisphere
 from torchprt.bake.estimate import error_and_signal
+from torchprt.bake.membrane import sheets
 from torchprt.bake.progress import Bar, Report, Silent
 from torchprt.bake.receivers import Receivers
 from torchprt.bake.solve import (
     Job,
     Solution,
+    every_chunk,
     exit_radiance,
     gathered,
     solve,
@@ -31,8 +36,9 @@ from torchprt.bake.solve import (
 from torchprt.bake.workers import CHUNK, Workers, chunks
 from torchprt.errors import InputError
 from torchprt.scene import Geometry, Points, Scene
+from torchprt.sh import Projection
 from torchprt.trace import Tracer
-from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer import DiffuseTransfer, Transfer
 from torchprt.version import VERSION
 
 
@@ -49,8 +55,13 @@ def bake(
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
     progress: bool | Report = True,
-) -> DiffuseTransfer:
-    """Diffuse transfer of a scene.
+    frame: Frame = "exit",
+    output_order: int | None = None,
+    projection: Projection = "optimal",
+    factors: int | float | None = None,
+    visibility_order: int | None = None,
+) -> Transfer:
+    """Transfer of a scene: `DiffuseTransfer`, or where a material is glossy one of the kinds of glossy transfer.
 
     - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
       rays take four times the time for a third of the error.
@@ -77,38 +88,73 @@ def bake(
     """
     _check(order, rays, bounces, shadows, seed, threads)
     geometry = scene.geometry()
+    membranes = sheets(geometry)
+    wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
+    is_glossy = scene.requires(bounces).kind == "glossy"
+    if is_glossy:
+        bake_glossy.check(wanted, geometry, bounces)
+    elif wanted != Wanted("exit", order, "optimal", None, order):
+        raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
     if not shadows:
+        if is_glossy and receivers is None:
+            return bake_glossy.bake_unshadowed(geometry, wanted, order, membranes)
         normals = geometry.receiver_normals if receivers is None else receivers.normals
-        return _result(geometry, receivers, unshadowed(normals, order)[None], transport="unshadowed")
+        vectors = unshadowed(normals, order)
+        if membranes is not None and receivers is None:
+            vectors = membranes.through(vectors.T).T
+        return result.diffuse(geometry, receivers, vectors[None], transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = scene.requires(bounces).channels
-    job = Job(tracer, surfaces(geometry), vertex_receivers(geometry, tracer), order, rays, seed, channels)
+    job = Job(tracer, surfaces(geometry), vertex_receivers(geometry, tracer), order, rays, seed, channels, membranes)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
         workers = stack.enter_context(Workers(threads or os.cpu_count() or 1))
-        store = stack.enter_context(_store(folder, job, geometry, receivers, bounces))
-        if receivers is None:
-            solution = solve(job, geometry.albedo, bounces, store, workers, report)
+        store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        baked: Transfer
+        if is_glossy and receivers is None:
+            baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, store, workers, report)
         else:
-            job, solution = _at_points(job, receivers, geometry.albedo, bounces, store, workers, report)
-        error, signal = error_and_signal(job, solution.transfer, solution.exitant, workers, report)
-        result = _result(
-            geometry,
-            receivers,
-            solution.transfer,
-            transport="interreflected" if solution.bounces else "shadowed",
-            bounces=solution.bounces,
-            rays=rays,
-            seed=seed,
-            error=error,
-            signal=signal,
-        )
+            baked = _diffuse(job, geometry, receivers, wanted, bounces, store, workers, report)
         if store is not None and not keep:
             store.discard()
-    return result
+    return baked
+
+
+def _diffuse(
+    job: Job,
+    geometry: Geometry,
+    receivers: Points | None,
+    wanted: Wanted,
+    bounces: int | float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> DiffuseTransfer:
+    if receivers is None:
+        solution = solve(job, geometry.albedo, bounces, store, workers, report)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+    elif bounces and len(geometry.glossy):
+        origins = job.tracer.origins(receivers.positions, receivers.normals)
+        points = Receivers(receivers.positions, receivers.normals, origins)
+        transfer, count = bake_glossy.bake_points(job, points, geometry, wanted, bounces, store, workers, report)
+        solution, error, signal = Solution(transfer, transfer, None, count), None, None
+    else:
+        job, solution = _at_points(job, receivers, geometry.albedo, bounces, store, workers, report)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+    return result.diffuse(
+        geometry,
+        receivers,
+        solution.transfer,
+        transport="interreflected" if solution.bounces else "shadowed",
+        bounces=solution.bounces,
+        rays=job.rays,
+        seed=job.seed,
+        error=error,
+        signal=signal,
+    )
 
 
 def _check(order: int, rays: int, bounces: int | float, shadows: bool, seed: int, threads: int | None) -> None:
@@ -139,33 +185,35 @@ def _at_points(
     origins = job.tracer.origins(points.positions, points.normals)
     here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins))
     if not bounces:
-        return here, Solution(trace(here, store, workers, report, keep_hits=False)[None])
+        transfer = trace(here, store, workers, report, keep_hits=False)[None]
+        return here, Solution(transfer, transfer)
     assert store is not None
     over_vertices = solve(job, albedo, bounces - 1, store, workers, report)
     exitant = exit_radiance(over_vertices.transfer.expand(job.channels, -1, -1), albedo)
     directions, project = here.directions()
     everything = chunks(len(here.receivers))
+    transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
+
+    def one(index: int) -> dict[str, Tensor]:
+        return {"transfer": gathered(here, everything[index], exitant, directions, project)}
+
+    def take(index: int, contents: dict[str, Tensor]) -> None:
+        transfer[:, :, everything[index]] = contents["transfer"]
+
     # The store numbers the chunks of the points after those of the vertices.
     first = len(chunks(len(job.receivers)))
-
-    def one(index: int) -> tuple[int, Tensor]:
-        kept = store.load(first + index)
-        if kept is None:
-            kept = {"transfer": gathered(here, everything[index], exitant, directions, project)}
-            store.save(first + index, kept)
-        return index, kept["transfer"]
-
-    transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
-    report.start("points", len(here.receivers) * job.rays)
-    for index, part in workers.map(one, range(len(everything))):
-        transfer[:, :, everything[index]] = part
-        report.advance(part.shape[-1] * job.rays)
-    return here, Solution(transfer, exitant, over_vertices.bounces + 1)
+    every_chunk(len(here.receivers), job.rays, one, take, store, workers, report, stage="points", first=first)
+    return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1)
 
 
 @contextlib.contextmanager
 def _store(
-    folder: Path | None, job: Job, geometry: Geometry, points: Points | None, bounces: int | float
+    folder: Path | None,
+    job: Job,
+    geometry: Geometry,
+    points: Points | None,
+    bounces: int | float,
+    wanted: Wanted | None,
 ) -> Iterator[Checkpoint | None]:
     """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
     if folder is None and not bounces:
@@ -181,6 +229,12 @@ def _store(
         "chunk": CHUNK,
         "version": VERSION,
     }
+    if wanted is not None:
+        contents += [geometry.glossy, geometry.gloss_of_glossy, geometry.tangents]
+        parameters["glossy"] = repr(wanted)
+        # The values, not the text: tables have no text of their own.
+        probes = hemisphere(64)
+        contents += [brdf(probes[:, None], probes) for brdf in geometry.gloss]
     if points is not None:
         # What the points gather has bounced already; elsewhere bounces and albedo enter after tracing.
         contents += [points.positions, points.normals, geometry.albedo]
@@ -190,25 +244,3 @@ def _store(
         yield store
     finally:
         store.close()
-
-
-def _result(geometry: Geometry, points: Points | None, transfer: Tensor, **metadata: Any) -> DiffuseTransfer:
-    if points is None:
-        positions, normals, albedo = geometry.receiver_positions, geometry.receiver_normals, geometry.albedo
-        faces = geometry.display_faces
-    else:
-        positions, normals, albedo = points.positions, points.normals, torch.as_tensor(points.albedo)
-        faces = torch.zeros(0, 3)
-    uniform = len(albedo) > 0 and bool((albedo == albedo[0]).all())
-    # A scan comes in float32: twice the bytes would say nothing more.
-    single = positions.to(torch.float32)
-    exact = bool((single.to(torch.float64) == positions).all())
-    return DiffuseTransfer(
-        transfer=transfer,
-        albedo=albedo[:1].clone() if uniform else albedo,
-        positions=single if exact else positions,
-        normals=normals.to(torch.float32),
-        faces=faces.to(torch.int32),
-        version=VERSION,
-        **metadata,
-    )

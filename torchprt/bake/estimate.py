@@ -1,16 +1,18 @@
-"""How far the finite number of rays is from the truth, measured."""
+"""How far the finite number of rays is from the truth, measured on receivers that are traced again."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.bake.progress import Report
 from torchprt.bake.solve import Job, gathered
+from torchprt.bake.solve_glossy import GlossyJob, GlossySolution, record
 from torchprt.bake.workers import Workers
 
 # Receivers that are traced again at most, and with how many times the rays.
@@ -26,27 +28,59 @@ def error_and_signal(
     the sample is more, some ten percent. With bounces it is of the last gather; earlier ones err alike.
     None, None if no receiver has a normal.
     """
-    alive = torch.nonzero(job.receivers.normals.abs().sum(-1) > 0)[:, 0]
-    if len(alive) == 0:
-        return None, None
-    count = min(len(alive), max(8, min(SAMPLE, len(alive) // 512)))
-    order = torch.randperm(len(alive), generator=torch.Generator().manual_seed(job.seed))
     # Another seed: the reference must not be a refinement of the same set.
     finer = dataclasses.replace(job, rays=SAMPLE_RAYS * job.rays, seed=job.seed + 1)
     directions, project = finer.directions()
 
-    def squares(rows: Tensor) -> tuple[int, float]:
+    def squares(rows: Tensor) -> float:
         better = gathered(finer, rows, exitant, directions, project)
-        return len(rows), float((transfer[:, :, rows] - better).double().square().mean((0, 1)).sum())
+        return float((transfer[:, :, rows] - better).double().square().mean((0, 1)).sum())
 
-    report.start("error", count * finer.rays)
+    everything = torch.arange(len(job.receivers))
+    return _estimate(job, everything, squares, transfer, transfer.shape[0] * transfer.shape[1], workers, report)
+
+
+def glossy_error_and_signal(
+    task: GlossyJob, solution: GlossySolution, workers: Workers, report: Report
+) -> tuple[float | None, float | None]:
+    """RMS error of an entry of the matrices, and RMS of an entry over all glossy receivers; as `error_and_signal`."""
+    job, matrix = task.job, solution.arrived.matrix
+    if not len(matrix):
+        return None, None
+    set_of = task.tables(task.recording, rays=SAMPLE_RAYS * job.rays, seed=job.seed + 1)
+
+    def squares(rows: Tensor) -> float:
+        _, better = record(task, job.receivers[rows], task.glossy.material[rows], solution.exitant, set_of)
+        return float((matrix[task.glossy.number[rows]] - better).double().square().mean((1, 2)).sum())
+
+    return _estimate(job, task.glossy.receivers, squares, matrix, matrix[0].numel(), workers, report)
+
+
+def _estimate(
+    job: Job,
+    candidates: Int[Tensor, "c"],
+    squares: Callable[[Tensor], float],
+    result: Tensor,
+    size: int,
+    workers: Workers,
+    report: Report,
+) -> tuple[float | None, float | None]:
+    alive = candidates[job.receivers.normals[candidates].abs().sum(-1) > 0]
+    if len(alive) == 0:
+        return None, None
+    count = min(len(alive), max(8, min(SAMPLE, len(alive) // 512)))
+    order = torch.randperm(len(alive), generator=torch.Generator().manual_seed(job.seed))
+    report.start("error", count * SAMPLE_RAYS * job.rays)
     sums = []
-    for done, value in workers.map(squares, alive[order[:count]].split(8)):
+
+    def one(rows: Tensor) -> tuple[int, float]:
+        return len(rows), squares(rows)
+
+    for done, value in workers.map(one, alive[order[:count]].split(8)):
         sums.append(value)
-        report.advance(done * finer.rays)
+        report.advance(done * SAMPLE_RAYS * job.rays)
     # An exact sum: it must not depend on which thread came first.
     total = math.fsum(sums)
     # Receivers without a normal add nothing to the sum.
-    size = transfer.shape[0] * transfer.shape[1] * len(alive)
-    signal = float(torch.linalg.vector_norm(transfer, dtype=torch.float64)) / math.sqrt(size)
+    signal = float(torch.linalg.vector_norm(result, dtype=torch.float64)) / math.sqrt(size * len(alive))
     return math.sqrt(total / count), signal

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +14,7 @@ from torchprt.bake.bounce import Gather, Surfaces, shadowed_with_hits
 from torchprt.bake.checkpoint import Checkpoint
 from torchprt.bake.diffuse import projection, shadowed
 from torchprt.bake.directions import hemisphere
+from torchprt.bake.membrane import Sheets
 from torchprt.bake.progress import Report
 from torchprt.bake.receivers import Receivers
 from torchprt.bake.workers import Workers, chunks
@@ -35,6 +37,11 @@ class Job:
     rays: int
     seed: int
     channels: int
+    sheets: Sheets | None = None
+
+    def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
+        """What arrives at all receivers, with what shines through membranes."""
+        return arriving if self.sheets is None else self.sheets.through(arriving)
 
     def directions(self) -> tuple[Float[Tensor, "D 3"], Float[Tensor, "N D"]]:
         """The directions of every receiver and the matrix that projects what they see."""
@@ -44,9 +51,11 @@ class Job:
 
 @dataclass
 class Solution:
-    """`transfer [C, N, V]`; `exitant [V, C * N]`, what its last bounce gathered from (None without one)."""
+    """`transfer [C, N, V]`; `arriving`, the same without what shines through membranes; `exitant [V, C * N]`, what
+    its last bounce gathered from (None without one)."""
 
     transfer: Tensor
+    arriving: Tensor
     exitant: Tensor | None = None
     bounces: int = 0
 
@@ -107,34 +116,39 @@ def solve(
 ) -> Solution:
     """Transfer of all receivers of `job`, which are those that reflect; bounces need a `store` for their hits."""
     direct = trace(job, store, workers, report, keep_hits=bounces > 0)
-    solution = Solution(direct.expand(job.channels, -1, -1))
     if not bounces:
-        return Solution(direct[None])
+        return Solution(job.through(direct.T).T[None], direct[None])
     assert store is not None
     everything = chunks(len(job.receivers))
     # From here on vertices first; the layout that shades again at the end.
-    total = solution.transfer.permute(2, 0, 1).flatten(1).contiguous()
+    total = direct.expand(job.channels, -1, -1).permute(2, 0, 1).flatten(1).contiguous()
     scale = exit_radiance(torch.ones(job.channels, job.order**2, 1).expand(-1, -1, len(total)), albedo)
-    added = total
-    while solution.bounces < bounces:
-        exitant = scale * added
+    added, count = total, 0
+    while count < bounces:
+        exitant = scale * job.through(added)
 
         def bounce(index: int, exitant: Tensor = exitant) -> tuple[int, Tensor]:
             return index, _kept_gather(store, index) @ exitant
 
-        report.start(f"bounce {solution.bounces + 1}", len(job.receivers))
+        report.start(f"bounce {count + 1}", len(job.receivers))
         added = torch.empty_like(total)
         for index, part in workers.map(bounce, range(len(everything))):
             added[everything[index]] = part
             report.advance(len(part))
         # The sum of all bounces is one more gather from the sum of all but the last.
-        solution.exitant = scale * total
+        sent = scale * job.through(total)
         total = total + added
-        solution.bounces += 1
+        count += 1
         if bounces == math.inf and added.norm() <= ENERGY * total.norm():
             break
-    solution.transfer = total.view(len(total), job.channels, -1).permute(1, 2, 0).contiguous()
-    return solution
+    arriving = channels_first(total, job.channels)
+    shown = arriving if job.sheets is None else channels_first(job.through(total), job.channels)
+    return Solution(shown, arriving, sent, count)
+
+
+def channels_first(rows: Float[Tensor, "V W"], channels: int) -> Float[Tensor, "C N V"]:
+    """Vectors with vertices first as the layout that shades."""
+    return rows.view(len(rows), channels, -1).permute(1, 2, 0).contiguous()
 
 
 def trace(
@@ -144,32 +158,55 @@ def trace(
     everything = chunks(len(job.receivers))
     directions, project = job.directions()
     transfer = torch.empty(job.order**2, len(job.receivers))
-    missing = []
-    for index, rows in enumerate(everything):
-        kept = None if store is None else store.load(index)
-        if kept is None:
-            missing.append(index)
-        else:
-            transfer[:, rows] = kept["transfer"]
 
-    def one(index: int) -> tuple[int, Tensor]:
+    def one(index: int) -> dict[str, Tensor]:
         receivers = job.receivers[everything[index]]
-        contents = {}
-        if keep_hits:
-            part, gather = shadowed_with_hits(job.tracer, job.surfaces, receivers, directions, project)
-            contents = vars(gather)
-        else:
-            part = shadowed(job.tracer, receivers, directions, project)
-        if store is not None:
-            store.save(index, {"transfer": part, **contents})
-        return index, part
+        if not keep_hits:
+            return {"transfer": shadowed(job.tracer, receivers, directions, project)}
+        part, gather = shadowed_with_hits(job.tracer, job.surfaces, receivers, directions, project)
+        return {"transfer": part, **vars(gather)}
 
-    left = sum(everything[index].stop - everything[index].start for index in missing)
-    report.start("trace", job.rays * len(job.receivers), job.rays * (len(job.receivers) - left))
-    for index, part in workers.map(one, missing):
-        transfer[:, everything[index]] = part
-        report.advance(part.shape[1] * job.rays)
+    def take(index: int, contents: dict[str, Tensor]) -> None:
+        transfer[:, everything[index]] = contents["transfer"]
+
+    every_chunk(len(job.receivers), job.rays, one, take, store, workers, report)
     return transfer
+
+
+def every_chunk(
+    count: int,
+    rays: int,
+    one: Callable[[int], dict[str, Tensor]],
+    take: Callable[[int, dict[str, Tensor]], None],
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+    *,
+    stage: str = "trace",
+    first: int = 0,
+) -> None:
+    """Computes with `one` every chunk of `count` receivers that the store does not hold yet, and keeps it there; all
+    go to `take`. In the store chunks are numbered from `first`."""
+    everything = chunks(count)
+    missing, left = [], 0
+    for index, rows in enumerate(everything):
+        found = None if store is None else store.load(first + index)
+        if found is None:
+            missing.append(index)
+            left += rows.stop - rows.start
+        else:
+            take(index, found)
+
+    def traced(index: int) -> tuple[int, dict[str, Tensor]]:
+        contents = one(index)
+        if store is not None:
+            store.save(first + index, contents)
+        return index, contents
+
+    report.start(stage, rays * count, rays * (count - left))
+    for index, contents in workers.map(traced, missing):
+        take(index, contents)
+        report.advance(rays * (everything[index].stop - everything[index].start))
 
 
 def gathered(
@@ -183,8 +220,14 @@ def gathered(
     return direct + (gather @ exitant).view(len(receivers), job.channels, -1).permute(1, 2, 0)
 
 
-def _kept_gather(store: Checkpoint, index: int) -> Gather:
+def kept(store: Checkpoint, index: int) -> dict[str, Tensor]:
+    """What the store has of a chunk that was traced."""
     contents = store.load(index)
     if contents is None:
         raise InputError(f"{store.path(index)} vanished or was damaged during the bake: run it again")
+    return contents
+
+
+def _kept_gather(store: Checkpoint, index: int) -> Gather:
+    contents = kept(store, index)
     return Gather(contents["offsets"], contents["sources"], contents["weights"])
