@@ -25,6 +25,8 @@ TOLERANCE = 3e-5
 RELAXED = 1e-3
 _LEVELS = (16, 32, 64, 128, 256)
 _LARGEST_TABLE = 2048
+# Measured with lobes about the view itself, at which the first rule is wrong by a third.
+_NODES_IN_A_LOBE = 3
 # Numbers held at once: 100 MB in float64.
 _CHUNK = 12_000_000
 # The table ends just above the horizon, where models without a limit of their own (f = 0) begin.
@@ -98,8 +100,10 @@ def settled(
 
     Raises InputError if none does (to 1e-3 at the last).
     """
-    # Nodes closer than the lobe is wide, also where it does not follow the mirror direction.
-    usable = [level for level in _LEVELS if level * brdf.width >= 1] or [_LEVELS[-1]]
+    # The rule follows lobes about the mirror direction; others must not fall between its nodes.
+    usable = [level for level in _LEVELS if level * brdf.width >= (0 if brdf.about_mirror else _NODES_IN_A_LOBE)]
+    if not usable:
+        raise _too_narrow(brdf)
     last = integrate(brdf, fixed, functions, usable[0], over=over)
     for level in usable:
         finer = integrate(brdf, fixed, functions, 2 * level, over=over)

@@ -25,12 +25,14 @@ class Brdf(abc.ABC):
 
     Subclasses define `_above` for directions above the horizon, and say what they are: `isotropic` (turning both
     directions about the normal, or mirroring both, changes nothing), `reciprocal` (the two directions may be swapped),
-    `width` (about the angle, in radians, over which the lobe changes: where quadrature starts).
+    `width` (about the angle, in radians, over which the lobe changes: where quadrature starts), `about_mirror` (its
+    lobe is where the half direction is near the normal, where quadrature finds any width).
     """
 
     isotropic: bool = True
     reciprocal: bool = True
     width: float = 1.0
+    about_mirror: bool = False
 
     def __call__(self, view: Float[Tensor, "*#D 3"], light: Float[Tensor, "*#D 3"]) -> Float[Tensor, "..."]:
         """f at unit directions away from the surface: `view` to the eye, `light` to the light; they broadcast.
@@ -64,6 +66,7 @@ class Model(Brdf):
     """A BRDF with a name and numbers (or tensors that broadcast with the directions, for learning)."""
 
     name: ClassVar[str]
+    about_mirror = True
 
     @property
     def spec(self) -> str:
@@ -241,11 +244,12 @@ def _smith(direction: Tensor, squared: Parameter) -> Tensor:
 
 def _power(base: Tensor, exponent: Parameter) -> Tensor:
     """max(base, 0)^exponent with finite gradients where base is not positive."""
-    positive = base > 0
-    return torch.where(positive, torch.where(positive, base, 1.0).pow(exponent), 0.0)
+    gone = base <= 0
+    # NaN to the power of zero is 1.
+    return torch.where(gone, 0.0, torch.where(gone, 1.0, base).pow(exponent) + 0 * base)
 
 
-def _check(name: str, value: Parameter, least: float, largest: float) -> None:
+def _check(name: str, value: Parameter, least: float | int, largest: float | int) -> None:
     if isinstance(value, Tensor):
         if not values_are_at_hand():
             return
@@ -260,18 +264,18 @@ def _check(name: str, value: Parameter, least: float, largest: float) -> None:
 
 
 def _least(value: Parameter) -> float:
-    return float(value.min()) if isinstance(value, Tensor) else float(value)
+    return float(value.detach().min()) if isinstance(value, Tensor) else float(value)
 
 
 def _largest(value: Parameter) -> float:
-    return float(value.max()) if isinstance(value, Tensor) else float(value)
+    return float(value.detach().max()) if isinstance(value, Tensor) else float(value)
 
 
 def _single(value: Parameter, name: str) -> float | int:
     if isinstance(value, Tensor):
         if value.numel() != 1:
             raise InputError(f"{name} holds {value.numel()} numbers: give one, a reflectance for each")
-        return float(value)
+        return float(value.detach())
     return value
 
 

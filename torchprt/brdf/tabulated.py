@@ -60,10 +60,10 @@ class Tabulated(Brdf):
     def width(self) -> float:  # type: ignore[override]
         shape = self.values.shape
         angles, turns = ((0, 1), (2,)) if self.isotropic else ((0, 2), (1, 3))
-        half = 1 if self.isotropic else 2
-        return min(
-            *(math.pi / 2 / (shape[axis] - 1) for axis in angles), *(half * math.pi / shape[axis] for axis in turns)
-        )
+        around = math.pi if self.isotropic else 2 * math.pi
+        steps = [math.pi / 2 / (shape[axis] - 1) for axis in angles] + [around / shape[axis] for axis in turns]
+        # What a table is for is a few steps wide.
+        return 4 * min(steps)
 
     def _above(self, view: Tensor, light: Tensor) -> Tensor:
         values = self.values.to(view.device, torch.promote_types(view.dtype, light.dtype))
@@ -97,7 +97,8 @@ class Measured(Brdf):
     """Any `function(view, light)` of unit directions `[..., 3]` that broadcast, to f `[...]` in 1/sr without cosine.
 
     It is called for directions above the horizon only. `isotropic` and `reciprocal` are what the user vouches for;
-    `width` is the angle in radians over which the lobe changes. Differentiable as far as the function is.
+    `width` is the angle in radians over which the lobe changes; integrals are refused below .012. Differentiable as
+    far as the function is.
     A transfer file keeps `spec` as a remark: `parse` cannot read it back.
     Raises InputError if `width` is not positive, and when called if the function returns another shape, negative
     values or values that are not finite.
