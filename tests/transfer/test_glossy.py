@@ -73,7 +73,6 @@ def test_refuses_coefficients_that_are_no_order(kind, count):
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        ("glossy", {"projection": "best"}, "projection 'best' of the transfer is unknown"),
         ("glossy", {"output_order": 2}, "matrix of the transfer has 9 rows: output order 2 with the .* has 4"),
         ("glossy", {"output_order": 0}, "matrix of the transfer has 9 rows"),
         ("glossy", {"projection": "reduced"}, "has 9 rows: output order 3 with the projection 'reduced' has 8"),
@@ -85,11 +84,19 @@ def test_refuses_coefficients_that_are_no_order(kind, count):
         ("visibility", {"visibility": torch.zeros(0, 7)}, "visibility of the transfer has 0 coefficients"),
         ("visibility", {"degree": 9}, "kernel of the transfer has 45 nodes: the rule of degree 9 has 50"),
         ("visibility", {"kernel": torch.zeros(9, 44)}, "kernel of the transfer has 44 nodes"),
+        ("visibility", {"kernel": torch.zeros(8, 45)}, "kernel of the transfer has 8 rows: output order 3 .* has 9"),
+        ("visibility", {"output_order": 4}, "kernel of the transfer has 9 rows: output order 4 .* has 16"),
     ],
 )
 def test_refuses_what_the_kind_cannot_be(kind, values, message):
     with pytest.raises(InputError, match=message):
         dataclasses.replace(random_glossy(kind), **values)
+
+
+@pytest.mark.parametrize("kind", ["glossy", "visibility"])
+def test_refuses_a_projection_of_a_newer_torchprt(untyped, kind):
+    with pytest.raises(InputError, match="projection 'best' of the transfer is unknown: update torchprt"):
+        dataclasses.replace(random_glossy(kind), projection="best")
 
 
 @pytest.mark.parametrize(

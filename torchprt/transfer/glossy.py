@@ -146,14 +146,7 @@ class GlossyTransfer(_Layers):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.projection not in ("optimal", "reduced", "zero", "odd", "even"):
-            raise InputError(f"projection '{self.projection}' of the transfer is unknown: update torchprt")
-        wanted = self.output_order**2 - (self.projection == "reduced" and self.output_order > 1)
-        if self.output_order < 1 or self.matrix.shape[2] != wanted:
-            raise InputError(
-                f"matrix of the transfer has {self.matrix.shape[2]} rows: output order {self.output_order} with the "
-                f"projection '{self.projection}' has {wanted}"
-            )
+        _check_rows("matrix", self.matrix.shape[2], self.output_order, self.projection)
 
     def _glossy_tensors(self) -> tuple[Tensor, ...]:
         return (self.matrix,)
@@ -279,6 +272,7 @@ class VisibilityTransfer(_Layers):
         count = self.visibility.shape[0]
         if count == 0 or self.visibility_order**2 != count:
             raise InputError(f"visibility of the transfer has {count} coefficients: it must be the square of its order")
+        _check_rows("kernel", self.kernel.shape[0], self.output_order, self.projection)
         nodes = (self.degree // 2 + 1) * (self.degree + 1)
         if self.kernel.shape[1] != nodes:
             raise InputError(
@@ -303,6 +297,17 @@ class VisibilityTransfer(_Layers):
 
 
 T = TypeVar("T", GlossyTransfer, FactoredTransfer, IncidentTransfer)
+
+
+def _check_rows(name: str, rows: int, output_order: int, projection: str) -> None:
+    if projection not in ("optimal", "reduced", "zero", "odd", "even"):
+        raise InputError(f"projection '{projection}' of the transfer is unknown: update torchprt")
+    wanted = output_order**2 - (projection == "reduced" and output_order > 1)
+    if output_order < 1 or rows != wanted:
+        raise InputError(
+            f"{name} of the transfer has {rows} rows: output order {output_order} with the "
+            f"projection '{projection}' has {wanted}"
+        )
 
 
 def _columns(transfer: T, count: int) -> T:
