@@ -12,9 +12,8 @@ import onnx
 from google.protobuf.message import DecodeError
 
 from torchprt.errors import InputError
-from torchprt.onnx.graph import Source
 from torchprt.onnx.operators import count_operators
-from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer import DiffuseTransfer, IncidentTransfer, Transfer
 from torchprt.transfer.file import CONVENTIONS
 from torchprt.version import VERSION
 
@@ -28,6 +27,8 @@ INPUTS = {
     "environment": (
         "Cube maps [B, 6, H, W, 3] of linear RGB radiance, faces +x -x +y -y +z -z in OpenGL texel orientation."
     ),
+    "eye": "Points [B, 3] from which the surfaces are seen, in the frame and unit of the scene.",
+    "view": "Directions [B, 3] from the surfaces toward a distant eye, of any length above zero.",
     "rotation": "Proper rotation matrices [B, 3, 3] that turn the environment; the identity leaves it as it is.",
     "radiance": "Linear RGB exit radiance [B, vertices, 3], albedo applied, before exposure, tone map and sRGB.",
 }
@@ -38,8 +39,12 @@ KEYS = (
 )  # fmt: skip
 
 
-def metadata(transfer: DiffuseTransfer, source: Source, size: int) -> dict[str, str]:
-    """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON."""
+def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
+    """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
+
+    `about`: what the arguments of the export add. Glossy transfer adds the metadata of its kind, `glossy` (how many
+    receivers have a glossy layer) and `specular`.
+    """
     provenance = {
         field.name: getattr(transfer, field.name)
         for field in dataclasses.fields(transfer)
@@ -51,21 +56,29 @@ def metadata(transfer: DiffuseTransfer, source: Source, size: int) -> dict[str, 
         "kind": transfer.kind,
         "order": transfer.order,
         "conventions": CONVENTIONS,
-        "source": source,
-        "size": size if source == "environment" else None,
+        "source": about["source"],
+        "size": about["size"],
         "vertices": transfer.vertices,
         "channels": transfer.channels,
         "albedo": "applied, one for all vertices" if transfer.albedo.shape[0] == 1 else "applied, one a vertex",
         **provenance,
         "baked_with": transfer.version,
     }
+    if not isinstance(transfer, DiffuseTransfer):
+        entries |= about | {
+            "glossy": len(transfer.glossy),
+            "specular": "applied, one for all" if transfer.specular.shape[0] == 1 else "applied, one a receiver",
+        }
+    if isinstance(transfer, IncidentTransfer):
+        entries["output_order"] = transfer.output_order
     return {key: json.dumps(value) for key, value in entries.items()}
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     """What a file that `export` wrote says about itself, for people and for programs that run it.
 
-    Its metadata (kind, order, conventions, source, albedo, bounces, provenance), and read from the graph:
+    Its metadata (kind, order, conventions, source, albedo, bounces, provenance; of glossy transfer also projection,
+    output order, materials, what the eye is and what is fixed), and read from the graph:
     `inputs` and `outputs` (name -> shape, dynamic sizes as names), `opset`, `operators` (name -> count), `bytes`.
 
     Raises InputError, naming the file and the fault, if it is missing, truncated, not ONNX, not of this project or

@@ -6,25 +6,24 @@ import contextlib
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import onnx
 import torch
+from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.onnx.describe import INPUTS, metadata, shape
-from torchprt.onnx.graph import DiffuseGraph, Source, make_graph
+from torchprt.onnx.eye import Eye
+from torchprt.onnx.graph import Source
 from torchprt.onnx.operators import OPSET, check_operators, count_operators
 from torchprt.onnx.parity import ParityError, ParityReport, compare
-from torchprt.shade import DiffuseShader, EnvironmentShader, shader
-from torchprt.transfer import DiffuseTransfer
+from torchprt.onnx.plan import Plan, plan
+from torchprt.transfer import Transfer
 from torchprt.version import VERSION
-
-# protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
-LIMIT = 2**31 - 2**20
 
 
 @dataclass(frozen=True)
@@ -47,18 +46,30 @@ class ExportReport:
 
 
 def export(
-    transfer: DiffuseTransfer,
+    transfer: Transfer,
     path: str | os.PathLike[str],
     *,
     source: Source = "light",
     size: int = 32,
+    eye: Eye = "point",
+    fix_eye: Sequence[float] | Tensor | None = None,
+    fix_light: Tensor | None = None,
+    exponent: float | int | Tensor | None = None,
     check: bool = True,
 ) -> ExportReport:
     """Writes the shader of `transfer` to one `.onnx` file that any ONNX runtime, also one in a browser, can run.
 
     Inputs `light [B, N, 3]` (or `environment [B, 6, size, size, 3]` if `source` is "environment") and
-    `rotation [B, 3, 3]`; output `radiance [B, V, 3]`, linear, albedo applied; float32, any B. Opset 18, weights
-    inside, operators of `operators.ALLOWED` alone. The metadata say what the file is; `describe` reads them.
+    `rotation [B, 3, 3]`; output `radiance [B, V, 3]`, linear, albedo and specular applied; float32, any B. Opset 18,
+    weights inside, operators of `operators.ALLOWED` alone. The metadata say what the file is; `describe` reads them.
+
+    For transfer that depends on the eye there is a third input: `eye [B, 3]`, a point in the unit of the scene, or, if
+    `eye` is "direction", `view [B, 3]`, directions toward a distant eye, of any length above zero. Receivers below
+    whose tangent plane it lies are seen at the horizon, as by the shaders. Two graphs are smaller and faster:
+    - `fix_eye [3]`, a point or a direction as `eye` says: no third input, a graph as large as that of diffuse transfer.
+    - `fix_light [N, 3]`: `eye` (or `view`) is the only input. A turned light is `sh.rotate(light, rotation)`.
+    `exponent`: the Phong lobe for transfer of kind "incident", which needs one, as for `shader`; for another
+    reflectance export what `shade.with_material` makes of it.
 
     With `check` the file is run in ONNX Runtime and compared with torch (see `compare`) before it takes its name;
     ParityError if they differ, and then no file is left.
@@ -67,11 +78,13 @@ def export(
     weights exceed the 2 GB that one file can hold, or an argument cannot be used.
     """
     path = Path(path)
-    _check_arguments(transfer, path, source, size)
+    if path.suffix != ".onnx":
+        raise InputError(f"{path} must end in .onnx")
+    planned = plan(transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent)
     transfer.check()
     with atomic(path) as temporary:
-        model = _trace(make_graph(transfer, source, size), source, size)
-        onnx.helper.set_model_props(model, metadata(transfer, source, size))
+        model = _trace(planned)
+        onnx.helper.set_model_props(model, metadata(transfer, planned.about))
         onnx.save(model, temporary)
         onnx.checker.check_model(temporary, full_check=True)
         # Read back: what the exporter was asked for is not always what it wrote.
@@ -79,48 +92,36 @@ def export(
         check_operators(model)
         inputs = {value.name: shape(value) for value in model.graph.input}
         outputs = {value.name: shape(value) for value in model.graph.output}
-        _check_shapes(transfer, source, size, inputs, outputs)
-        parity = compare(temporary, _reference(transfer, source, size)) if check else None
+        _check_shapes(planned, inputs, outputs)
+        parity = compare(temporary, planned.reference()) if check else None
         if parity is not None and not parity.passed:
             raise ParityError(f"{path} was not written: ONNX Runtime and torch are {parity}")
     return ExportReport(path, path.stat().st_size, OPSET, inputs, outputs, count_operators(model), parity)
 
 
-def _check_arguments(transfer: DiffuseTransfer, path: Path, source: str, size: int) -> None:
-    if path.suffix != ".onnx":
-        raise InputError(f"{path} must end in .onnx")
-    if source not in ("light", "environment"):
-        raise InputError(f"source '{source}' is unknown: use 'light' or 'environment'")
-    if source == "environment" and size < 2:
-        raise InputError(f"size {size} of the cube map is too small: give at least 2")
-    if transfer.vertices == 0:
-        raise InputError("the transfer has no vertices: there is nothing to export")
-    texels = 6 * size * size if source == "environment" else 0
-    separate = transfer.albedo.numel() if transfer.channels == 1 and transfer.albedo.shape[1] == 3 else 0
-    total = 4 * (transfer.transfer.numel() + separate + texels * transfer.order**2)
-    if total > LIMIT:
-        raise InputError(
-            f"the weights are {total / 2**30:.1f} GB, more than the 2 GB that one ONNX file can hold: "
-            "lower the order or split the scene"
-        )
-
-
-def _trace(graph: DiffuseGraph, source: Source, size: int) -> onnx.ModelProto:
+def _trace(planned: Plan) -> onnx.ModelProto:
     # An example batch of one would be baked in silently.
-    entry = (6, size, size, 3) if source == "environment" else (graph.coefficients, 3)
+    examples = {name: torch.zeros(2, *shape) for name, shape in planned.inputs.items()}
+    if "rotation" in examples:
+        examples["rotation"] += torch.eye(3)
     batch = torch.export.Dim("B")
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
-            graph.eval(),
-            (torch.zeros(2, *entry), torch.eye(3).repeat(2, 1, 1)),
+            planned.graph().eval(),
+            tuple(examples.values()),
             dynamo=True,
             verbose=False,
             opset_version=OPSET,
-            input_names=[source, "rotation"],
+            input_names=list(examples),
             output_names=["radiance"],
-            dynamic_shapes=({0: batch}, {0: batch}),
+            dynamic_shapes=({0: batch},) * len(examples),
         )
     assert program is not None
+    # The exporter names values after operators of torch, of which `view` is one.
+    for node in program.model.graph:
+        for value in node.outputs:
+            if value.name in examples:
+                value.name = f"{value.name}_inside"
     model = program.model_proto
     # The exporter leaves source paths of this machine and traces of the stack in every node.
     for entry in (model.graph, *model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer):
@@ -139,7 +140,7 @@ def _quiet() -> Iterator[None]:
     registration = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = registration.level
     with warnings.catch_warnings():
-        # Both inputs share the dynamic size B; the exporter names it once and warns of the second.
+        # All inputs share the dynamic size B; the exporter names it once and warns of the others.
         warnings.filterwarnings("ignore", message=r"# The axis name: B will not be used", category=UserWarning)
         # torch 2.13 copies its own deprecated tree specifications.
         warnings.filterwarnings("ignore", message=r".*LeafSpec.* is deprecated", category=FutureWarning)
@@ -152,18 +153,8 @@ def _quiet() -> Iterator[None]:
 
 
 def _check_shapes(
-    transfer: DiffuseTransfer,
-    source: Source,
-    size: int,
-    inputs: dict[str, tuple[int | str, ...]],
-    outputs: dict[str, tuple[int | str, ...]],
+    planned: Plan, inputs: dict[str, tuple[int | str, ...]], outputs: dict[str, tuple[int | str, ...]]
 ) -> None:
-    first = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
-    wanted = {source: ("B", *first), "rotation": ("B", 3, 3)}, {"radiance": ("B", transfer.vertices, 3)}
+    wanted = {name: ("B", *shape) for name, shape in planned.inputs.items()}, {"radiance": ("B", planned.vertices, 3)}
     if (inputs, outputs) != wanted:
         raise RuntimeError(f"the exported graph has inputs {inputs} and outputs {outputs}: {wanted} were asked for")
-
-
-def _reference(transfer: DiffuseTransfer, source: Source, size: int) -> DiffuseShader | EnvironmentShader:
-    module = shader(transfer, dtype=torch.float64)
-    return EnvironmentShader(module, size) if source == "environment" else module

@@ -26,7 +26,7 @@ class DiffuseGraph(nn.Module):
 
     def __init__(self, transfer: DiffuseTransfer) -> None:
         super().__init__()
-        vectors, albedo = fold_albedo(transfer)
+        vectors, albedo = fold(transfer.transfer, transfer.albedo)
         self.register_buffer("transfer", vectors[0] if len(vectors) == 1 else vectors)
         self.register_buffer("albedo", albedo)
         self.turn = Rotation(transfer.order)
@@ -34,7 +34,14 @@ class DiffuseGraph(nn.Module):
         self.vertices = transfer.vertices
 
     def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
-        light = self.turn(light, rotation)
+        return self.reflect(self.receive(light, rotation))
+
+    def receive(self, light: Tensor, rotation: Tensor) -> Tensor:
+        """The light `[B, N, 3]` that shines, from the inputs."""
+        return self.turn(light, rotation)
+
+    def reflect(self, light: Tensor) -> Tensor:
+        """Radiance `[B, V, 3]` under the turned light."""
         if self.transfer.ndim == 3:
             return (light.permute(2, 0, 1) @ self.transfer).permute(1, 2, 0)
         if self.albedo is not None and self.albedo.shape[1] == 1:
@@ -55,22 +62,25 @@ class EnvironmentGraph(DiffuseGraph):
         self.register_buffer("weights", cube_basis(transfer.order, size).to(torch.float32).T.contiguous())
 
     def forward(self, environment: Tensor, rotation: Tensor) -> Tensor:
+        return self.reflect(self.receive(environment, rotation))
+
+    def receive(self, environment: Tensor, rotation: Tensor) -> Tensor:
+        """The light `[B, N, 3]` that shines, from the inputs."""
         texels = environment.movedim(-1, 1).reshape(-1, self.weights.shape[0])
         light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
-        return super().forward(light, rotation)
+        return super().receive(light, rotation)
 
 
-def fold_albedo(transfer: DiffuseTransfer) -> tuple[Tensor, Tensor | None]:
-    """Transfer vectors `[C, N, V]` in float32, and the albedo `[3, V or 1]` that could not be folded into them.
+def fold(vectors: Tensor, weight: Tensor) -> tuple[Tensor, Tensor | None]:
+    """`vectors [C, K, V]` times `weight [V or 1, 3 or 1]` in float32, and the weight `[3, V or 1]` if it stays apart.
 
-    An RGB albedo over single-channel transfer stays apart: folding it would store three times as much.
+    RGB weights over single-channel vectors do: folding them would store three times as much.
     """
-    wide = torch.promote_types(transfer.transfer.dtype, transfer.albedo.dtype)
-    vectors, albedo = transfer.transfer.detach(), transfer.albedo.detach()
-    if albedo.shape[1] == 3 and transfer.channels == 1:
-        return vectors.float().contiguous(), albedo.T.float().contiguous()
-    wide = torch.promote_types(wide, torch.float32)
-    return (vectors.to(wide) * albedo.T[:, None].to(wide)).float().contiguous(), None
+    vectors, weight = vectors.detach(), weight.detach()
+    if weight.shape[1] == 3 and len(vectors) == 1:
+        return vectors.float().contiguous(), weight.T.float().contiguous()
+    wide = torch.promote_types(torch.promote_types(vectors.dtype, weight.dtype), torch.float32)
+    return (vectors.to(wide) * weight.T[:, None].to(wide)).float().contiguous(), None
 
 
 def make_graph(transfer: DiffuseTransfer, source: Source, size: int) -> DiffuseGraph:

@@ -12,7 +12,7 @@ OPSET = 18
 # (js/web/docs/webgpu-operators.md of its sources). Loop, If, Scatter*, Einsum, IsNaN and GridSample are left out:
 # a web runtime lacks them, or runs them so slowly that a graph with them is a mistake.
 ALLOWED = frozenset({
-    "Abs", "Add", "Cast", "Clip", "Concat", "Constant", "Cos", "Div", "Equal", "Exp", "Expand",
+    "Abs", "Add", "Atan", "Cast", "Clip", "Concat", "Constant", "Cos", "Div", "Equal", "Exp", "Expand",
     "Flatten", "Gather", "Gemm", "Greater", "Identity", "Less", "MatMul", "Max", "Min", "Mul", "Neg",
     "Pow", "Reciprocal", "ReduceSum", "Reshape", "Shape", "Sigmoid", "Sin", "Slice", "Softmax", "Split",
     "Sqrt", "Squeeze", "Sub", "Tanh", "Tile", "Transpose", "Unsqueeze", "Where",

@@ -8,14 +8,19 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import onnxruntime
 import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh import bands, yaw_pitch_roll
-from torchprt.shade import DiffuseShader, EnvironmentShader
+from torchprt.onnx.eyes import conditions, random_eyes
+from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
+from torchprt.sh.hemisphere import DISCARDED
+from torchprt.shade import DiffuseShader, EnvironmentShader, FactoredShader, FixedLightShader, ViewShader
+
+Module: TypeAlias = DiffuseShader | ViewShader | EnvironmentShader | FixedLightShader
 
 SCALES = (1.0, 1e-6, 1e6)
 HALF_TURNS = ((0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0), (0.0, 0.0, 180.0))
@@ -32,7 +37,7 @@ class ParityReport:
     - `relative_rms`: the worst light's RMS difference relative to the RMS of its radiance.
     - `max_error`: the worst light's largest difference relative to its largest radiance.
     - `tolerance`: what both must stay below.
-    - `cases`: lights shaded, at the batch sizes `batches`.
+    - `cases`: lights (and eyes) shaded, at the batch sizes `batches`.
     """
 
     relative_rms: float
@@ -54,55 +59,71 @@ class ParityReport:
         )
 
 
-def tolerance(order: int) -> float:
+def tolerance(order: int, module: Module | None = None) -> float:
     """Largest acceptable relative difference of float32 radiance: 16 rounding errors of float32 times the order.
 
-    Each of the four products on the way sums at most 2 n^2 terms, whose rounding errors add up as the square root
-    of their number; the basis itself is good to a few rounding errors times the order.
+    Each of the products on the way sums at most 2 n^2 terms, whose rounding errors add up as the square root of
+    their number; the basis itself is good to a few rounding errors times the order. For a `module` that depends on
+    the eye n is the larger of the orders of light and exit functions, which change that fast with the direction; a
+    table of factors, H texels wide, changes as fast as functions of order H. The
+    "reduced" exit functions are far from orthogonal on the hemisphere: coefficients are larger than what they sum up
+    to, by up to one over the root of the least eigenvalue of their Gram matrix (57 at order 5), and so is the error.
     """
-    return 16 * torch.finfo(torch.float32).eps * order
+    shader = _shader(module)
+    larger = 1.0
+    if isinstance(shader, ViewShader):
+        exits = shader.factors.shape[-1] if isinstance(shader, FactoredShader) else getattr(shader, "output_order", 1)
+        order = max(order, exits)
+        if getattr(shader, "projection", None) == "reduced" and exits > 1:
+            kept = [index for index in range(exits**2) if index != DISCARDED]
+            least = torch.linalg.eigvalsh(hemisphere_gram(exits)[kept][:, kept])[0]
+            larger = float(least) ** -0.5
+    return 16 * torch.finfo(torch.float32).eps * order * larger
 
 
 def compare(
-    path: str | os.PathLike[str],
-    module: DiffuseShader | EnvironmentShader,
-    *,
-    batches: Sequence[int] = (1, 3, 7, 16),
-    seed: int = 0,
+    path: str | os.PathLike[str], module: Module, *, batches: Sequence[int] = (1, 3, 7, 16), seed: int = 0
 ) -> ParityReport:
     """Runs the file in ONNX Runtime on the CPU and `module` in torch in float64, and reports the difference.
 
     24 random lights (bands fall off as 1 / (l + 1)^2, or cube maps with a contrast of 1 to 1000), scaled by 1, 1e-6
     and 1e6, under the identity, half turns about each axis and random rotations; every light runs in a batch of
-    every size in `batches`, none of which is the size that the graph was traced with.
+    every size in `batches`, none of which is the size that the graph was traced with. Where the file takes an eye,
+    each light has its own: near, far (10 000 times the size of the model), in the middle of the model, at a vertex and
+    behind one; or directions of many lengths, along a normal and against it.
+
+    Positions count as float32, as the file holds them. A receiver whose tangent plane the eye is below is seen at the
+    horizon, in a direction that rounding turns by 1 / sin a of its size, a the angle from straight below: its
+    difference counts sin a.
 
     Raises InputError if the file cannot be run or takes other inputs than `module`.
     """
     path = Path(path)
-    source = "environment" if isinstance(module, EnvironmentShader) else "light"
     session = open_session(path)
     names = [value.name for value in session.get_inputs()]
-    if names != [source, "rotation"]:
-        raise InputError(f"{path} takes {', '.join(names)} but the module takes {source}, rotation: compare its own")
-    order = (module.shader if isinstance(module, EnvironmentShader) else module).order
-    inputs, rotations = _cases(module, order, seed)
+    _check_inputs(path, names, module)
     reference = copy.deepcopy(module).double().eval()
+    shader = _shader(reference)
+    if isinstance(shader, ViewShader):
+        shader.points = shader.points.float().double()
+    feeds = _cases(names, reference, shader, seed)
+    count = len(next(iter(feeds.values())))
     with torch.no_grad():
         # One at a time: every light is as large as the scene in float64.
-        pairs = zip(inputs.double().split(1), rotations.double().split(1), strict=True)
-        wanted = [reference(one, turn)[0] for one, turn in pairs]
+        wanted = [_shade(reference, {name: value[index] for name, value in feeds.items()}) for index in range(count)]
+        weights = [_weights(shader, {name: value[index] for name, value in feeds.items()}) for index in range(count)]
     rms = largest = 0.0
     for batch in batches:
-        for start in range(0, len(inputs), batch):
+        for start in range(0, count, batch):
             # The last batch wraps around, so that every one has the stated size.
-            chosen = [index % len(inputs) for index in range(start, start + batch)]
-            feed = {source: inputs[chosen].numpy(), "rotation": rotations[chosen].numpy()}
+            chosen = [index % count for index in range(start, start + batch)]
+            feed = {name: value[chosen].numpy() for name, value in feeds.items()}
             found = torch.from_numpy(session.run(["radiance"], feed)[0])
             for radiance, index in zip(found, chosen, strict=True):
-                difference = radiance.double() - wanted[index]
+                difference = (radiance.double() - wanted[index]) * weights[index]
                 rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
                 largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
-    return ParityReport(rms, largest, tolerance(order), len(inputs) * len(batches), tuple(batches))
+    return ParityReport(rms, largest, tolerance(_order(module), module), count * len(batches), tuple(batches))
 
 
 def open_session(path: Path) -> onnxruntime.InferenceSession:
@@ -113,20 +134,65 @@ def open_session(path: Path) -> onnxruntime.InferenceSession:
         raise InputError(f"{path} cannot be opened by ONNX Runtime: export it again") from fault
 
 
-def _cases(module: DiffuseShader | EnvironmentShader, order: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Every scale under every rotation: `[24, ...]` inputs and `[24, 3, 3]` rotations in float32."""
+def _check_inputs(path: Path, names: list[str], module: Module) -> None:
+    lights = [] if isinstance(module, FixedLightShader) else ["light", "rotation"]
+    if isinstance(module, EnvironmentShader):
+        lights[0] = "environment"
+    known = [[*lights, "eye"], [*lights, "view"]] if isinstance(_shader(module), ViewShader) else [lights]
+    if names not in known:
+        taken = " or ".join(", ".join(inputs) for inputs in known)
+        raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
+
+
+def _shader(module: Module | None) -> Module | None:
+    """The shader of transfer inside."""
+    return module.shader if isinstance(module, EnvironmentShader | FixedLightShader) else module
+
+
+def _order(module: Module) -> int:
+    shader = _shader(module)
+    assert isinstance(shader, DiffuseShader | ViewShader)
+    return shader.order
+
+
+def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:
+    """Radiance `[V, 3]` of one case in float64."""
+    wide = {name: value.double() for name, value in case.items()}
+    lights = [wide.pop(name) for name in ("light", "environment", "rotation") if name in wide]
+    return module(*lights, **wide)
+
+
+def _weights(shader: Module | None, case: dict[str, Tensor]) -> Tensor:
+    """What the difference of each receiver counts, `[V, 1]` or one for all."""
+    if not isinstance(shader, ViewShader):
+        return torch.ones(1, 1, dtype=torch.float64)
+    eye, view = (case[name].double() if name in case else None for name in ("eye", "view"))
+    weights = torch.ones(shader.vertices, dtype=torch.float64)
+    return weights.index_copy(0, shader.glossy, conditions(shader, eye, view)).unsqueeze(-1)
+
+
+def _cases(names: list[str], module: Module, shader: Module | None, seed: int) -> dict[str, Tensor]:
+    """Every scale under every rotation: 24 of each input that is named, in float32."""
     generator = torch.Generator().manual_seed(seed)
     degrees = torch.cat([torch.tensor(HALF_TURNS), 360 * torch.rand(4, 3, generator=generator)])
     rotations = yaw_pitch_roll(degrees.double()).float().repeat(len(SCALES), 1, 1)
     count = len(rotations)
+    scales = torch.tensor(SCALES).repeat_interleave(len(degrees))
+    cases: dict[str, Tensor] = {}
     if isinstance(module, EnvironmentShader):
         shape = (count, 6, module.size, module.size, 3)
-        inputs = torch.exp(math.log(1000) * torch.rand(shape, generator=generator))
-    else:
+        environments = torch.exp(math.log(1000) * torch.rand(shape, generator=generator))
+        cases["environment"] = environments * scales.reshape(-1, 1, 1, 1, 1)
+    elif "light" in names:
+        order = _order(module)
         decay = (1 + bands(order)) ** -2.0
-        inputs = torch.randn(count, order * order, 3, generator=generator) * decay[:, None]
-    scales = torch.tensor(SCALES).repeat_interleave(len(degrees))
-    return inputs * scales.reshape(-1, *(1,) * (inputs.ndim - 1)), rotations
+        lights = torch.randn(count, order * order, 3, generator=generator) * decay[:, None]
+        cases["light"] = lights * scales.reshape(-1, 1, 1)
+    if "rotation" in names:
+        cases["rotation"] = rotations
+    if isinstance(shader, ViewShader):
+        cases[names[-1]] = random_eyes(shader, names[-1], count, generator)
+    return cases
 
 
 def _ratio(error: Tensor, size: Tensor) -> float:

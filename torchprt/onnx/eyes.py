@@ -1,0 +1,57 @@
+"""Eyes that are hard on a graph, and how much rounding they magnify."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchprt.shade import ViewShader
+
+FAR = 1e4
+
+
+def random_eyes(shader: ViewShader, name: str, count: int, generator: torch.Generator) -> Tensor:
+    """Float32 eyes `[count, 3]` for the input "eye" or "view", of every kind in turn.
+
+    Points: two sizes of the model away, near a glossy receiver (a hundredth of the size), far, in the middle, at a
+    receiver, and behind one, under its tangent plane. Directions: random ones of length 1, 1e-6, 1e6, along the normal
+    of a receiver and against it, and one that grazes it.
+    """
+    places, (tangents, _, normals) = shader.points.T, shader.frames.permute(0, 2, 1)
+    random = torch.randn(count, 3, generator=generator, dtype=torch.float64)
+    random = random / random.norm(dim=-1, keepdim=True)
+    if not len(places):
+        return random.float()
+    chosen = torch.randint(len(places), (count,), generator=generator)
+    place, normal, tangent = places[chosen], normals[chosen].double(), tangents[chosen].double()
+    if name == "view":
+        kinds = [random, 1e-6 * random, 1e6 * random, normal, 0.5 * tangent - normal, tangent]
+    else:
+        low, high = places.amin(0), places.amax(0)
+        middle, size = (low + high) / 2, float((high - low).norm()) or 1.0
+        kinds = [
+            middle + 2 * size * random,
+            place + 0.01 * size * random,
+            middle + FAR * size * random,
+            middle + 0.05 * size * random,
+            place,
+            place + size * (0.2 * tangent - 0.3 * normal),
+        ]
+    # The lights repeat every 8, the kinds every 6: all meet.
+    return torch.stack([kinds[index % len(kinds)][index] for index in range(count)]).float()
+
+
+def conditions(shader: ViewShader, eye: Tensor | None, view: Tensor | None) -> Tensor:
+    """For each glossy receiver `[G]`, the sine of the angle from straight below to the eye; 1 above the horizon.
+
+    `eye [3]` or `view [3]`, float64. Below, rounding of the direction by one unit turns what is seen by one over it.
+    """
+    assert eye is not None or view is not None
+    toward = eye - shader.points.T if eye is not None else view.expand(len(shader.glossy), 3)  # type: ignore[union-attr]
+    largest = toward.abs().amax(-1, keepdim=True)
+    toward = toward / torch.where(largest > 0, largest, math.inf)
+    x, y, z = (shader.frames.permute(2, 0, 1) @ toward.unsqueeze(-1)).squeeze(-1).unbind(-1)
+    across, length = torch.hypot(x, y), toward.norm(dim=-1)
+    return torch.where(z < 0, across / torch.where(length > 0, length, 1.0), 1.0)
