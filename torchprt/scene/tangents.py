@@ -20,7 +20,7 @@ ROUNDS = 3
 """Rounds of diffusion, each guided by the directions that the last one found."""
 
 SOLVED = 1e-6
-"""Relative residual at which a round is solved: a thousandth of a degree is far below what compression notices."""
+"""Relative residual at which a round is solved."""
 
 CANCELLED = 1e-6
 """A sum of tangents this small beside the sum of its weights has no direction."""
