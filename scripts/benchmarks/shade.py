@@ -2,8 +2,9 @@
 
     python scripts/benchmarks/shade.py
 
-50 000 vertices, order 5, one transfer channel. Every target is a ratio within this run: a machine's own stream rate,
-its own matrix product, the plain product of the textbook, ONNX Runtime.
+50 000 vertices, order 5, one transfer channel; glossy transfer with 25 000. Every target is a ratio within this run: a
+machine's own stream rate, its own matrix product, the plain product of the textbook, ONNX Runtime, the lights before
+the eye.
 """
 
 import tempfile
@@ -17,10 +18,11 @@ import torch
 from torchprt.measure import Table, relative_rms, time_it
 from torchprt.onnx import export
 from torchprt.sh import bands
-from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer
+from torchprt.shade import GlossyShader, shader
+from torchprt.transfer import DiffuseTransfer, GlossyTransfer, VisibilityTransfer
 
 VERTICES, LARGE, ORDER, MANY = 50_000, 2_000_000, 5, 256
+GLOSSY, LIGHTS, DEGREE = 25_000, 16, 12
 
 
 def random_transfer(vertices: int = VERTICES, order: int = ORDER) -> DiffuseTransfer:
@@ -138,5 +140,91 @@ def run(rounds: int = 15) -> None:
     rich.print(ratios)
 
 
+def random_glossy(visibility: bool) -> GlossyTransfer | VisibilityTransfer:
+    """Every receiver glossy and diffuse, order 5 in and out; with matrices, or visibility of the same order."""
+    generator = torch.Generator().manual_seed(0)
+    count = ORDER**2
+    normals = torch.nn.functional.normalize(torch.randn(GLOSSY, 3, generator=generator, dtype=torch.float64), dim=-1)
+    across = torch.linalg.cross(normals, torch.randn(GLOSSY, 3, generator=generator, dtype=torch.float64))
+    layers = {
+        "positions": normals.float(),
+        "normals": normals.float(),
+        "faces": torch.zeros(0, 3, dtype=torch.int64),
+        "albedo": torch.full((1, 1), 0.5),
+        "glossy": torch.arange(GLOSSY),
+        "tangents": torch.nn.functional.normalize(across, dim=-1).float(),
+        "specular": torch.full((1, 1), 0.5),
+        "diffuse": torch.randn(1, count, GLOSSY, generator=generator),
+    }
+    if not visibility:
+        matrix = torch.randn(1, GLOSSY, count, count, generator=generator)
+        return GlossyTransfer(**layers, matrix=matrix, output_order=ORDER)
+    return VisibilityTransfer(
+        **layers,
+        visibility=torch.randn(count, GLOSSY, generator=generator),
+        kernel=torch.randn(count, (DEGREE // 2 + 1) * (DEGREE + 1), generator=generator),
+        degree=DEGREE,
+        output_order=ORDER,
+    )
+
+
+def light_first(module: GlossyShader, light: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
+    """The same sums with the eye last: one product of all matrices with all lights, then the exit functions."""
+    _, receivers, rows, columns = module.matrix.shape
+    flat = light.mT.reshape(-1, columns) @ module.matrix.view(receivers * rows, columns).T
+    scattered = (flat.view(-1, receivers, rows) * module.values(eye, None)).sum(-1)
+    return module.diffuse(light) + 0.5 * scattered.view(len(light), 3, receivers).mT
+
+
+def run_glossy(rounds: int = 9) -> None:
+    """Prints the timings of glossy transfer and, below them, every ratio with its target."""
+    torch.set_num_threads(1)
+    stored, seen = random_glossy(visibility=False), random_glossy(visibility=True)
+    matrix, visibility = shader(stored), shader(seen)
+    generator = torch.Generator().manual_seed(1)
+    lights, eye = torch.randn(LIGHTS, ORDER**2, 3, generator=generator), torch.tensor([3.0, 4.0, 5.0])
+    eyes = 5 * torch.randn(LIGHTS, 3, generator=generator)
+    one = lights[:1]
+    with torch.no_grad():
+        lit, looked = matrix.fix_light(one), matrix.fix_eye(eye=eye)
+        calls = {
+            f"matrix: 1 eye, {LIGHTS} lights": lambda: matrix(lights, eye=eye),
+            f"matrix: 1 eye, {LIGHTS} lights, light first": lambda: light_first(matrix, lights, eye),
+            "matrix: 1 eye, 1 light": lambda: matrix(one, eye=eye),
+            f"matrix: {LIGHTS} eyes, each with its light": lambda: matrix(lights, eye=eyes),
+            "matrix: fixed light, moving eye": lambda: lit(eye=eye),
+            "matrix: fixed eye, moving light": lambda: looked(one),
+            "on the fly: 1 eye, 1 light": lambda: visibility(one, eye=eye),
+            f"on the fly: 1 eye, {LIGHTS} lights": lambda: visibility(lights, eye=eye),
+        }
+        times = time_it(calls, rounds=rounds)
+        exact = {name: shader(transfer, dtype=torch.float64) for name, transfer in (("m", stored), ("o", seen))}
+        errors = {}
+        for name, call in calls.items():
+            light = (lights if "lights" in name or "each" in name else one).double()
+            wanted = exact[name[0]](light, eye=(eyes if "eyes" in name else eye).double())
+            errors[name] = relative_rms(call(), wanted)
+    table = Table(f"Shading {GLOSSY} glossy vertices, order {ORDER}, one thread, process CPU time")
+    for name, timing in times.items():
+        table.add(name, seconds=timing, error=errors[name], bytes=(stored if name[0] == "m" else seen).bytes)
+    rich.print(table)
+
+    ratios = Table("Ratios, glossy")
+
+    def ratio(name: str, slow: str, fast: str, target: float | None = None) -> None:
+        value = times[slow].median / times[fast].median
+        verdict = {} if target is None else {"target": target, "met": "yes" if value >= target else "no"}
+        ratios.add(name, extra={"ratio": value, **verdict})
+
+    first = f"matrix: 1 eye, {LIGHTS} lights"
+    ratio(f"1 eye, {LIGHTS} lights: light first / eye first", f"{first}, light first", first, 8)
+    ratio("1 light: eye and light new / light fixed", "matrix: 1 eye, 1 light", "matrix: fixed light, moving eye")
+    ratio("1 light: eye and light new / eye fixed", "matrix: 1 eye, 1 light", "matrix: fixed eye, moving light")
+    ratio("1 eye, 1 light: on the fly / matrix", "on the fly: 1 eye, 1 light", "matrix: 1 eye, 1 light")
+    ratios.add("bytes: matrix / on the fly", extra={"ratio": stored.bytes / seen.bytes})
+    rich.print(ratios)
+
+
 if __name__ == "__main__":
     run()
+    run_glossy()

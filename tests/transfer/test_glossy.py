@@ -77,6 +77,7 @@ def test_refuses_coefficients_that_are_no_order(kind, count):
         ("glossy", {"output_order": 0}, "matrix of the transfer has 9 rows"),
         ("glossy", {"projection": "reduced"}, "has 9 rows: output order 3 with the projection 'reduced' has 8"),
         ("factored", {"factors": torch.zeros(3, 32, 32)}, "'factors'"),
+        ("factored", {"factors": torch.zeros(4, 32, 16)}, r"'factors' .* must be \[M, H, H\]"),
         ("factored", {"factors": torch.zeros(4, 32, 32, dtype=torch.float16)}, "'factors' of the transfer is float16"),
         ("incident", {"matrix": torch.zeros(1, 7, 8, 16)}, "matrix of the transfer has 8 rows: .* square"),
         ("incident", {"matrix": torch.zeros(1, 7, 0, 16)}, "matrix of the transfer has 0 rows"),

@@ -79,7 +79,8 @@ def to_horizon(directions: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D 3"]:
     largest = above.abs().amax(-1, keepdim=True)
     nothing = largest == 0
     scaled = torch.where(nothing, directions.new_tensor([0.0, 0.0, 1.0]), above / torch.where(nothing, 1.0, largest))
-    return scaled / torch.linalg.vector_norm(scaled, dim=-1, keepdim=True)
+    # `vector_norm` is a hundred times slower where components come first in memory.
+    return scaled / scaled.square().sum(-1, keepdim=True).sqrt()
 
 
 def _functional(xyz: Tensor, tables: tuple[Tensor, ...], order: int) -> Tensor:

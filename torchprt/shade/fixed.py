@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -51,5 +52,10 @@ class FixedLightShader(nn.Module):
 
         Raises InputError as the shader that made it.
         """
-        values = self.shader.values(eye, view).mT.unsqueeze(-3)
-        return self.shader.spread((values * self.coefficients).sum(-2), self.radiance).mT
+        values = self.shader.values(eye, view).unsqueeze(-3)
+        # One exit function after the other: all products at once would be as large as the coefficients.
+        (first, weight), *others = zip(values.unbind(-1), self.coefficients.unbind(-2), strict=True)
+        scattered = first * weight
+        for value, weight in others:
+            scattered = torch.addcmul(scattered, value, weight)
+        return self.shader.spread(scattered, self.radiance).mT

@@ -164,7 +164,7 @@ class GlossyTransfer(_Layers):
 class FactoredTransfer(_Layers):
     """Exit-radiance matrices of few rows: the BRDF is factored into functions of the eye and of the light.
 
-    As `GlossyTransfer`, with `u_i(v)` in place of e_i: `factors [M, H, W]` holds them at the texels of an equal-area
+    As `GlossyTransfer`, with `u_i(v)` in place of e_i: `factors [M, H, H]` holds them at the texels of an equal-area
     map of the hemisphere, read bilinearly (`brdf.sample_hemisphere_map`). One BRDF for all glossy receivers.
     `factor_error`: relative RMS of the BRDF times cosine that the M products leave out.
     Source: Sloan, Luna and Snyder 2005, section 5.
@@ -175,7 +175,7 @@ class FactoredTransfer(_Layers):
     kind: ClassVar[str] = "factored"
     layouts: ClassVar[dict[str, Layout]] = _COMMON | {
         "matrix": Layout(("C", "G", "M", "N")),
-        "factors": Layout(("M", "H", "W"), _REAL),
+        "factors": Layout(("M", "H", "H"), _REAL),
     }
 
     matrix: Tensor
