@@ -134,10 +134,9 @@ def test_refuses_exponents_for_other_receivers():
         shader(receivers("incident"), exponent=torch.ones(2))
 
 
-def test_refuses_two_reflectances_or_none():
-    for arguments in ({}, {"exponent": 3.0, "brdf": brdf.Lambert()}):
-        with pytest.raises(InputError, match="exponent and brdf: give one"):
-            IncidentShader(receivers("incident"), **arguments)
+def test_refuses_two_reflectances():
+    with pytest.raises(InputError, match="exponent and brdf are both given: give one"):
+        IncidentShader(receivers("incident"), exponent=3.0, brdf=brdf.Lambert())
 
 
 def test_refuses_to_learn_the_exponent_of_a_brdf():

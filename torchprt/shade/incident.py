@@ -16,24 +16,25 @@ from torchprt.shade.glossy import MatrixShader
 from torchprt.shade.view import with_normals
 from torchprt.transfer import GlossyTransfer, IncidentTransfer
 
+_EXPONENT = 40.0
 _CHUNK = 4096
 
 
 class IncidentShader(MatrixShader):
     """Exit radiance of `IncidentTransfer` with a Phong lobe, or with any BRDF.
 
-    - `exponent` k, a number or a tensor of one or G: exit radiance is `sum_i A_l(k) y_i(r) (M l)_i`, r the mirror image
-      of the view about the normal: incident radiance blurred by the lobe (k + 1) / 2 pi max(r . s, 0)^k, whose integral
-      over the sphere is 1. There is no cosine beside it, so it stands for the BRDF that has the lobe divided by s_z,
-      and a white surface under a constant light is as bright as the light except where the lobe dips below the
-      horizon. It can be changed or learned ("exponent"); zero or more.
+    - `exponent` k, a number or a tensor of one or G, 40 if neither is given: exit radiance is
+      `sum_i A_l(k) y_i(r) (M l)_i`, r the mirror image of the view about the normal. That is incident radiance blurred
+      by the lobe (k + 1) / 2 pi max(r . s, 0)^k, whose integral over the sphere is 1. There is no cosine beside it, so
+      it stands for the BRDF that has the lobe divided by s_z, and a white surface under a constant light is as bright as
+      the light except where the lobe dips below the horizon. It can be changed or learned; zero or more.
     - `brdf`: `brdf.exit_chain` is applied instead, with `output_order` (of the transfer if omitted) and `projection`:
-      the same as the `GlossyTransfer` of `with_material`, which is faster.
+      the same as the `GlossyTransfer` of `with_material`, which spares the product at run time.
 
     Both err by what the transferred incident radiance lacks above its order. Made by `torchprt.shader(transfer)`;
     `learn` may name "matrix", "specular", "albedo", "diffuse", and "exponent".
-    Raises InputError if both or neither are given or the exponent is negative, not finite or of another shape.
-    Source: Sloan, Kautz and Snyder 2002, section 6, equation 9; Sloan, Hall, Hart and Snyder 2003, section 3.2.
+    Raises InputError if both are given or the exponent is negative, not finite or of another shape.
+    Source: Sloan, Kautz and Snyder 2002, section 4.2, equations 6 and 9; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
 
     exponent: Tensor
@@ -51,12 +52,12 @@ class IncidentShader(MatrixShader):
         dtype: torch.dtype | None = None,
         learn: Iterable[str] = (),
     ):
-        if (exponent is None) == (brdf is None):
-            raise InputError("exponent and brdf: give one, exponent (of a Phong lobe) or brdf")
+        if exponent is not None and brdf is not None:
+            raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
         tensors = {"matrix": with_normals(transfer, transfer.matrix)}
         device = transfer.matrix.device
         if brdf is None:
-            value = torch.as_tensor(exponent, dtype=torch.float64, device=device)
+            value = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
             if value.shape not in ((), (1,), (len(transfer.glossy),)):
                 raise InputError(
                     f"exponent has shape {list(value.shape)}: give one, or one for each of the "
@@ -91,7 +92,7 @@ def with_material(
     `output_order`: of the exit functions, that of `incident` if omitted. Light that bounced is as the materials of
     `incident` reflected it. The result lacks what `incident` lacks above its own order, which a bake of glossy
     transfer does not; `exit_error` is therefore not stated.
-    Source: Sloan, Hall, Hart and Snyder 2003, section 3.2.
+    Source: Sloan, Hall, Hart and Snyder 2003, sections 3 and 9.
     """
     order = output_order or incident.output_order
     chain = exit_chain(brdf, order, incident.output_order, projection).to(incident.matrix.device, torch.float64)

@@ -25,8 +25,6 @@ from torchprt.transfer import (
 
 Shader: TypeAlias = DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader
 
-_EXPONENT = 40.0
-
 
 @overload
 def shader(
@@ -78,8 +76,6 @@ def shader(
     Raises InputError for a name that cannot be learned, or a reflectance for another kind of transfer.
     """
     if isinstance(transfer, IncidentTransfer):
-        if exponent is None and brdf is None:
-            exponent = _EXPONENT
         return IncidentShader(transfer, exponent, brdf=brdf, dtype=dtype, learn=learn)
     for name, value in (("exponent", exponent), ("brdf", brdf)):
         if value is not None:

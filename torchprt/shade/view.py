@@ -121,7 +121,8 @@ class ViewShader(nn.Module, abc.ABC):
         `light [..., N, 3]`; `rotation [..., 3, 3]` turns the environment (identity if omitted); exactly one of
         `eye [..., 3]`, a point in the unit of the scene, and `view [..., 3]`, the direction toward a distant eye, of
         any length above zero. The batches broadcast. Fastest where the dimensions of many lights have size 1 in the
-        eye: the eye is then applied to the transfer once. The result is a view with vertices contiguous.
+        eye: the eye is then applied to the transfer once. Every other eye takes C N G numbers of memory on the way.
+        The result is a view with vertices contiguous.
 
         Raises InputError if the light is not of the order of the transfer, not exactly one of `eye` and `view` is
         given or, outside a traced graph, if one is not finite or `view` is zero, or `rotation` is not a proper
