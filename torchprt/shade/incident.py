@@ -26,8 +26,8 @@ class IncidentShader(MatrixShader):
     - `exponent` k, a number or a tensor of one or G, 40 if neither is given: exit radiance is
       `sum_i A_l(k) y_i(r) (M l)_i`, r the mirror image of the view about the normal. That is incident radiance blurred
       by the lobe (k + 1) / 2 pi max(r . s, 0)^k, whose integral over the sphere is 1. There is no cosine beside it, so
-      it stands for the BRDF that has the lobe divided by s_z, and a white surface under a constant light is as bright as
-      the light except where the lobe dips below the horizon. It can be changed or learned; zero or more.
+      it stands for the BRDF that has the lobe divided by s_z, and under a constant light a surface is as bright as the
+      light except where the lobe dips below the horizon. It can be changed or learned; zero or more.
     - `brdf`: `brdf.exit_chain` is applied instead, with `output_order` (of the transfer if omitted) and `projection`:
       the same as the `GlossyTransfer` of `with_material`, which spares the product at run time.
 

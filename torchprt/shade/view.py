@@ -36,7 +36,7 @@ class ViewShader(nn.Module, abc.ABC):
     below the tangent plane of a receiver counts as on it, an eye at a receiver as above it (`local_views`); a
     receiver whose normal is zero has no glossy layer. Directions are computed from eye - position in the dtype of
     the wider: in float32 they err by about 6e-8 (|eye| + |position|) / distance, so scenes far from the origin want
-    positions and eye in float64, at no cost in speed.
+    positions and eye in float64; nothing but the subtraction is then done in it.
     """
 
     points: Tensor
