@@ -15,6 +15,12 @@ from torchprt.scene import Material, Object, Points, Scene, load, make_mesh, sam
 from torchprt.trace import Tracer
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer, VisibilityTransfer
 
+# Small orders and default tangents on purpose: what is baked is compared with what should be.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::torchprt.bake.OrderWarning"),
+    pytest.mark.filterwarnings("ignore::torchprt.scene.TangentWarning"),
+]
+
 EPS = torch.finfo(torch.float32).eps
 # A constant light of radiance 1 has this first coefficient.
 ONE = math.sqrt(4 * math.pi)
@@ -287,7 +293,8 @@ def test_factored_rows_tend_to_the_matrices():
         wanted = exit_radiance(whole, eyes)[0]
         errors.append(float((found - wanted).norm() / wanted.norm()))
     assert errors[0] > errors[1] > errors[2]
-    assert errors[2] < 0.05
+    # The factors are those of unshadowed light; shadows make sharper light of it, of which they hold less.
+    assert errors[2] < 0.06
     by_error = quiet(scene, order=3, rays=16, factors=0.5)
     assert by_error.factor_error <= 0.5
 
@@ -305,11 +312,12 @@ def test_visibility_meets_the_light_as_the_matrix_does():
     lights = sh.basis(torch.einsum("dk,vkj->vdj", nodes, turned), 4)
     found = torch.einsum("md,vd,vdn->vmn", on_the_fly.kernel.double(), seen, lights)
     difference = float((found - matrices.matrix[0].double()).norm() / found.norm())
-    assert difference < 0.05
-    # The stated error is that of the whole scene here: 50 receivers are all sampled.
-    assert on_the_fly.product_error == pytest.approx(difference, rel=0.1)
+    # Kernel and light have nine bands between them: what visibility has above them does not count.
+    assert difference < 1e-3
+    # The stated error is that of all 50 receivers, without the correction toward the closed form of 512 rays.
+    assert on_the_fly.product_error == pytest.approx(difference, abs=1e-3)
     coarse = quiet(scene, order=4, rays=512, frame="visibility", visibility_order=2)
-    assert coarse.product_error > 2 * on_the_fly.product_error
+    assert coarse.product_error > 0.03
 
 
 def test_two_materials_and_a_diffuse_object_share_a_scene():
@@ -321,7 +329,7 @@ def test_two_materials_and_a_diffuse_object_share_a_scene():
     transfer = quiet(Scene(objects), order=3, rays=64)
     assert isinstance(transfer, GlossyTransfer)
     assert transfer.vertices == 48
-    assert transfer.materials == ["phong:10", "ggx:0.5,1"]
+    assert transfer.materials == ["phong:10", "ggx:0.5"]
     assert transfer.glossy.tolist() == [*range(16), *range(32, 48)]
     alone = quiet(Scene(objects[:1]), order=3, rays=64)
     # The first floor has nothing above it: what stands below it changes nothing.
@@ -345,9 +353,8 @@ def test_materials_that_alternate_keep_their_order():
 
 @pytest.mark.parametrize("frame", ["exit", "incident", "visibility"])
 def test_threads_chunks_and_resuming_do_not_change_a_bit(frame, tmp_path):
-    mesh = samples.organic(24).objects[0].mesh
-    assert len(mesh.positions) > 600
-    scene = load(mesh, material=shiny(albedo=0.4, specular=0.5))
+    scene = floor_and_wall(shiny(albedo=0.4, specular=0.5), 17)
+    assert scene.geometry().receivers > 512, "one chunk alone cannot come in the wrong order"
     bounces = 0 if frame == "visibility" else 1
     first = quiet(scene, order=3, rays=48, bounces=bounces, frame=frame, threads=1)
     for options in ({"threads": 2}, {"checkpoint": tmp_path / "kept", "keep": True}, {"checkpoint": tmp_path / "kept"}):

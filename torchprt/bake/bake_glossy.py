@@ -77,7 +77,8 @@ def warn_of_order(wanted: Wanted, geometry: Geometry, order: int) -> float:
         if error > COARSE:
             warnings.warn(
                 f"output order {wanted.output_order} cannot hold the material {brdf.spec}: exit radiance errs by "
-                f"{error:.0%} (relative RMS, unshadowed, white light of order {order}); raise the output order",
+                f"{error:.0%} (relative RMS, unshadowed, white light of order {order}); raise the output order"
+                f"{'' if wanted.projection == 'optimal' else ' or use the optimal projection'}",
                 OrderWarning,
                 stacklevel=4,
             )

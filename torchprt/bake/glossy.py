@@ -136,7 +136,7 @@ def gathered(
     receivers: Receivers,
     material: Int[Tensor, "v"],
     set_of: Tables,
-) -> tuple[Float[Tensor, "v W"], Float[Tensor, "g R W"]]:
+) -> tuple[Float[Tensor, "v W"], Float[Tensor, "g _ _"]]:
     """What arrives at a chunk from the surfaces around it: one bounce, diffuse and glossy from the same hits.
 
     Source: Sloan, Kautz and Snyder 2002, section 5, interreflection pass, with the exit radiance of a hit surface

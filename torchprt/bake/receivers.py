@@ -49,5 +49,6 @@ class Receivers:
 
 
 def tangent_frames(normals: Float[Tensor, "V 3"], tangents: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3 3"]:
-    """Frames whose rows are tangent, normal x tangent, normal."""
-    return torch.stack([tangents, torch.linalg.cross(normals, tangents), normals], -2)
+    """Frames whose rows are tangent, normal x tangent, normal; where the normal is zero those of `frames`."""
+    given = torch.stack([tangents, torch.linalg.cross(normals, tangents), normals], -2)
+    return torch.where((normals == 0).all(-1)[:, None, None], frames(normals), given)
