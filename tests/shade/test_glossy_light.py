@@ -48,7 +48,7 @@ def unshadowed_incident(output_order):
 
 def integral(model, frame, view):
     """int_H f(v, s) s_z L(s) ds toward one local view, by a dense rule."""
-    nodes, weights = sh.gauss_legendre_hemisphere(200)
+    nodes, weights = sh.gauss_legendre_hemisphere(160)
     incident = sh.evaluate(light(), nodes @ frame)
     return ((model(view, nodes) * nodes[:, 2] * weights)[:, None] * incident).sum(0)
 
@@ -75,7 +75,7 @@ def test_a_lambert_layer_is_irradiance_over_pi_toward_every_eye():
 def test_exit_radiance_is_the_best_fit_to_the_integral_over_the_light(model):
     transfer = unshadowed_glossy(model, 4)
     module = shader(transfer)
-    nodes, weights = sh.gauss_legendre_hemisphere(24)
+    nodes, weights = sh.gauss_legendre_hemisphere(20)
     for g in (0, 2):
         wanted = torch.stack([integral(model, frame_of(transfer, g), view) for view in nodes])
         found = module(light(), view=world_views(transfer, g, nodes))[:, g]
