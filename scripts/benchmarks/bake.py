@@ -156,12 +156,12 @@ def stages(scene: Scene) -> Table:
         (top, "vertex_receivers", "origins of the receivers"),
         (solve, "hemisphere", "directions and projection matrix"),
         (solve, "projection", "directions and projection matrix"),
-        (diffuse, "frames", "frames"),
+        (Receivers, "frames", "frames"),
         (Tracer, "visibility", "tracing"),
         (solve, "shadowed", "projection product"),
         (diffuse, "to_world", "rotation to the world"),
         (top, "error_and_signal", "error estimate"),
-        (top, "_result", "result"),
+        (top.result, "diffuse", "result"),
     ]
     with contextlib.ExitStack() as stack:
         for owner, name, stage in watched:

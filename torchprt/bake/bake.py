@@ -72,6 +72,18 @@ def bake(
       unless it is to `keep` it (until the result is safe on disk, say).
     - `progress`: a bar on standard error, or an object with the methods of `bake.progress.Report`.
 
+    For glossy materials:
+    - `frame`: "exit" (the BRDF baked in: `GlossyTransfer`), "incident" (the BRDF chosen at run time:
+      `IncidentTransfer`) or "visibility" (a vector instead of a matrix, multiplied with the light at run time:
+      `VisibilityTransfer`; one material, no bounces).
+    - `output_order` (that of the light by default): bands of exit radiance, or of incident radiance. More of them hold
+      narrower lobes; `OrderWarning` tells when the material needs more, `exit_error` of the result how well they do.
+    - `projection` of exit radiance on the hemisphere, see `sh.exit_functions`.
+    - `factors`: a number of view factors in place of exit functions, or (a float) the error that they may leave:
+      `FactoredTransfer`; one material.
+    - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
+    Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
+
     Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
     `threads` and after any interruption; a receiver that nothing blocks has exactly the unshadowed transfer; the
     result does not depend on the scale of the scene or on its distance from the origin.
@@ -81,10 +93,13 @@ def bake(
     and, a thread, `72 max(2^16, 8 rays)` of rays and `512 (8 N + 36)` of results, with bounces at most
     `24 * 512 * rays` more for the hits of a chunk. The hits of all others wait on disk (in the checkpoint, or in the
     system's temporary folder): at most 24 bytes a blocked ray.
+    Matrices add `4 G M N C` bytes (twice that while the result is put together, six times with bounces) and
+    `36 M N rays` for the products along the directions of the estimate; a thread `4 * 512 M N` of results, with
+    bounces `4 N C max(2^16, rays)` of what arrives.
 
-    Raises InputError if an argument is out of range or the checkpoint folder cannot be used; KeyboardInterrupt after
-    the chunks that are being traced are finished and kept.
-    Source: Sloan, Kautz and Snyder 2002, section 5.
+    Raises InputError if an argument is out of range, does not fit the scene, or the checkpoint folder cannot be used;
+    KeyboardInterrupt after the chunks that are being traced are finished and kept.
+    Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
     _check(order, rays, bounces, shadows, seed, threads)
     geometry = scene.geometry()
