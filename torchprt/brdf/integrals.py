@@ -25,6 +25,8 @@ TOLERANCE = 3e-5
 RELAXED = 1e-3
 _LEVELS = (16, 32, 64, 128, 256)
 _LARGEST_TABLE = 2048
+# From here on edges are taken for what stops the error from falling.
+_PATIENT_LEVEL, _PATIENT_TABLE = 32, 128
 # Measured with lobes about the view itself, at which the first rule is wrong by a third.
 _NODES_IN_A_LOBE = 3
 # Numbers held at once: 100 MB in float64.
@@ -108,7 +110,8 @@ def settled(
     for level in usable:
         finer = integrate(brdf, fixed, functions, 2 * level, over=over)
         change = float((finer - last).norm())
-        if change <= tolerance * float(finer.norm()):
+        allowed = max(tolerance, RELAXED) if level >= _PATIENT_LEVEL else tolerance
+        if change <= (tolerance if brdf.about_mirror else allowed) * float(finer.norm()):
             return level, finer
         last = finer
     if change <= RELAXED * float(finer.norm()):
@@ -177,7 +180,8 @@ def _agree(brdf: Brdf, steps: Tensor, guess: Tensor, found: Tensor, tolerance: f
     error, size = float((area * (guess - found)).norm()), float((area * found).norm())
     if last and error > RELAXED * size:
         raise _too_narrow(brdf)
-    return last or error <= tolerance * size
+    patient = not brdf.about_mirror and len(steps) >= _PATIENT_TABLE
+    return last or error <= (max(tolerance, RELAXED) if patient else tolerance) * size
 
 
 def _too_narrow(brdf: Brdf) -> InputError:
