@@ -1,6 +1,7 @@
 """Is what a glossy surface sends toward the eye what it should be?"""
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -98,6 +99,13 @@ def test_an_order_too_small_for_the_material_is_told_with_its_figure():
         transfer = quiet(load(square(), material=shiny("phong:200")), order=3, rays=16)
     assert transfer.exit_error == brdf.exit_error(brdf.parse("phong:200"), 3, 3)
     assert transfer.exit_error > 0.1
+
+
+@pytest.mark.parametrize("options", [{"frame": "incident"}, {"factors": 2}])
+def test_what_holds_no_exit_functions_is_not_warned_of_their_order(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OrderWarning)
+        quiet(load(square(), material=shiny("phong:60")), order=3, rays=16, **options)
 
 
 def test_a_diffuse_scene_stays_diffuse():

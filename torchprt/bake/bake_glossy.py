@@ -68,8 +68,11 @@ def check(wanted: Wanted, geometry: Geometry, bounces: int | float) -> None:
         raise InputError("frame 'visibility' holds shadows alone: leave the bounces out, or bake matrices")
 
 
-def warn_of_order(wanted: Wanted, geometry: Geometry, order: int) -> float:
-    """The largest `exit_error` of the scene's materials; warns if one is coarse."""
+def warn_of_order(wanted: Wanted, geometry: Geometry, order: int, bounces: int | float = 0) -> float | None:
+    """The largest `exit_error` of the scene's materials; warns if one is coarse. None where no exit function is used,
+    neither for what is recorded nor for surfaces that are hit."""
+    if not bounces and (wanted.frame == "incident" or wanted.factors is not None):
+        return None
     worst = 0.0
     for brdf in geometry.gloss:
         error = exit_error(brdf, wanted.output_order, order, wanted.projection)
@@ -116,7 +119,7 @@ def bake_vertices(
     report: Report,
 ) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
     """Transfer at the vertices of a scene that has glossy ones."""
-    worst = None if wanted.frame == "incident" else warn_of_order(wanted, geometry, job.order)
+    worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
     solution = solve(task, bounces, store, workers, report)
     error, signal = glossy_error_and_signal(task, solution, workers, report)
@@ -143,7 +146,7 @@ def bake_unshadowed(
     geometry: Geometry, wanted: Wanted, order: int, sheets: Sheets | None
 ) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
     """The closed form at the vertices of a scene that has glossy ones."""
-    worst = None if wanted.frame == "incident" else warn_of_order(wanted, geometry, order)
+    worst = warn_of_order(wanted, geometry, order)
     normals = geometry.receiver_normals
     recording = recording_of(wanted, geometry, order)
     matrix = torch.empty(len(geometry.glossy), recording.count, recording.columns)
