@@ -111,7 +111,7 @@ def test_an_isotropic_model_has_the_kernel_of_the_same_function_not_said_to_be_i
         close(exit_kernel(anonymous, directions, 3), exit_kernel(GGX(0.4), directions, 3))
 
 
-@pytest.mark.parametrize("order", [2, 8, 16])
+@pytest.mark.parametrize("order", [1, 4])
 def test_a_narrow_lobe_has_its_directional_albedo_as_first_coefficient(order):
     """By reciprocity: the constant function of the exit side times the cosine of the light gives less than 1."""
     directions = lights()
