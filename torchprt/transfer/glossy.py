@@ -166,7 +166,8 @@ class FactoredTransfer(_Layers):
 
     As `GlossyTransfer`, with `u_i(v)` in place of e_i: `factors [M, H, H]` holds them at the texels of an equal-area
     map of the hemisphere, read bilinearly (`brdf.sample_hemisphere_map`). One BRDF for all glossy receivers.
-    `factor_error`: relative RMS of the BRDF times cosine that the M products leave out.
+    `factor_error`: relative RMS of unshadowed exit radiance that the M products leave out, under lights that are
+    white over N. Shadows make sharper light, of which they leave out more.
     Source: Sloan, Luna and Snyder 2005, section 5.
 
     Raises InputError if shapes or dtypes do not fit together; `check()` also looks at the values.
