@@ -31,9 +31,10 @@ class EyeGraph(nn.Module):
 
     def forward(self, eye: Tensor) -> Tensor:
         if self.positions is None:
-            x, y, z = (_scaled(eye, -1).unsqueeze(0) @ self.frames).unbind(0)
+            # A direction of any length is one; a point this near is none.
+            x, y, z = (_scaled(eye, -1, 0.0).unsqueeze(0) @ self.frames).unbind(0)
         else:
-            away = _scaled(eye.unsqueeze(-1) - self.positions, 1)
+            away = _scaled(eye.unsqueeze(-1) - self.positions, 1, NOTHING)
             x, y, z = ((away * axis).sum(1) for axis in self.frames.unbind(0))
         z = z.clamp(min=0)
         squared = x * x + y * y + z * z
@@ -43,8 +44,8 @@ class EyeGraph(nn.Module):
         return torch.stack([x, y, z])
 
 
-def _scaled(direction: Tensor, dimension: int) -> Tensor:
-    """Divided by the largest component: squares of the very long and the very short leave the range."""
+def _scaled(direction: Tensor, dimension: int, nothing: float) -> Tensor:
+    """Divided by the largest component, as squares of the very long and the very short leave the range; or zero."""
     x, y, z = direction.abs().split(1, dimension)
     largest = torch.maximum(torch.maximum(x, y), z)
-    return direction / torch.where(largest > NOTHING, largest, torch.inf)
+    return direction / torch.where(largest > nothing, largest, torch.inf)

@@ -101,6 +101,8 @@ def plan(
             lambda: make_graph(_as_diffuse(transfer, fixed()), source, size),
             lambda: _from(source, size, fixed()),
         )
+    if not len(transfer.glossy):
+        raise InputError("no receiver is glossy, so nothing depends on the eye: give fix_eye, any will do")
     if fix_light is not None:
         if source != "light":
             raise InputError("fix_light is given, so the graph takes no environment: leave source at 'light'")
