@@ -160,6 +160,13 @@ def main():
     parser.add_argument("--sky", type=float, nargs=3, default=(0.4, 0.5, 0.7), metavar=("R", "G", "B"))
     parser.add_argument("--sun", type=float, nargs=3, default=(2.0, 1.8, 1.5), metavar=("R", "G", "B"))
     parser.add_argument("--direction", type=float, nargs=3, default=(1.0, 1.0, 1.0), metavar=("X", "Y", "Z"))
+    parser.add_argument(
+        "--eye",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="for glossy surfaces: the eye, or the direction toward it if the model takes a view",
+    )
     parser.add_argument("--yaw", type=float, default=0.0, help="degrees by which the environment is turned about +y")
     parser.add_argument("--exposure", type=float, default=0.0, help="stops")
     parser.add_argument("--repeat", type=int, default=20, help="how often to shade for the timing")
@@ -172,17 +179,27 @@ def main():
 
     session = onnxruntime.InferenceSession(arguments.model, providers=["CPUExecutionProvider"])
     about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
-    entry = session.get_inputs()[0]
+    shapes = {entry.name: entry.shape[1:] for entry in session.get_inputs()}
     direction = np.asarray(arguments.direction) / length
+    values = {"rotation": yaw_matrix(arguments.yaw)}
     if arguments.input:
-        light = np.load(arguments.input)
-    elif entry.name == "light":
-        light = sky_and_sun(about["order"], arguments.sky, arguments.sun, direction)
-    else:
-        light = sky_and_sun_cube(about["size"], arguments.sky, arguments.sun, direction)
-    if list(light.shape) != entry.shape[1:]:
-        sys.exit(f"the model takes a {entry.name} of shape {entry.shape[1:]}, not {list(light.shape)}")
-    feed = {entry.name: light[None].astype("f4"), "rotation": yaw_matrix(arguments.yaw)[None].astype("f4")}
+        values["light"] = values["environment"] = np.load(arguments.input)
+    elif "light" in shapes:
+        values["light"] = sky_and_sun(about["order"], arguments.sky, arguments.sun, direction)
+    elif "environment" in shapes:
+        values["environment"] = sky_and_sun_cube(about["size"], arguments.sky, arguments.sun, direction)
+    if arguments.input and not {"light", "environment"} & set(shapes):
+        sys.exit("the light of this model is fixed: leave out --input")
+    if arguments.eye and not {"eye", "view"} & set(shapes):
+        sys.exit("this model shows the same to every eye: leave out --eye")
+    if arguments.eye:
+        values["eye"] = values["view"] = np.asarray(arguments.eye)
+    elif {"eye", "view"} & set(shapes):
+        sys.exit("what the model shows depends on the eye: give --eye X Y Z")
+    for name, shape in shapes.items():
+        if list(values[name].shape) != shape:
+            sys.exit(f"the model takes a {name} of shape {shape}, not {list(values[name].shape)}")
+    feed = {name: values[name][None].astype("f4") for name in shapes}
 
     radiance = session.run(["radiance"], feed)[0][0]
     start = time.perf_counter()

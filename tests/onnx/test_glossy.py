@@ -97,7 +97,8 @@ def test_refuses_arguments_that_do_not_fit(tmp_path, kind, arguments, message):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("fix_eye", [1.0, 2.0, 3.0]), ("fix_light", torch.zeros(16, 3)), ("exponent", 4.0)]
+    ("name", "value"),
+    [("eye", "direction"), ("fix_eye", [1.0, 2.0, 3.0]), ("fix_light", torch.zeros(16, 3)), ("exponent", 4.0)],
 )
 def test_diffuse_transfer_has_neither_eye_nor_lobe(make_transfer, tmp_path, name, value):
     with pytest.raises(InputError, match=f"{name} is given, but diffuse transfer has neither eye nor lobe"):

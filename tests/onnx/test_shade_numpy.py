@@ -1,6 +1,7 @@
 """Does what an engineer takes away run where torch cannot be imported, and give the same picture?"""
 
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from transfers import random_glossy
 
 from torchprt.onnx import export
 from torchprt.sh import basis, cube_directions, yaw_pitch_roll
 from torchprt.shade import shader, srgb
 
-SCRIPT = Path(__file__).parents[2] / "export" / "shade_numpy.py"
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "export" / "shade_numpy.py"
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +29,9 @@ def scene(make_transfer, tmp_path_factory):
     folder, transfer = tmp_path_factory.mktemp("takeaway"), make_transfer(order=4)
     export(transfer, folder / "scene.onnx", check=False)
     export(transfer, folder / "cube.onnx", source="environment", size=8, check=False)
+    glossy = random_glossy(order=3, output_order=2, materials=["phong:8"])
+    export(glossy, folder / "glossy.onnx", check=False)
+    export(glossy, folder / "walk.onnx", fix_light=torch.ones(9, 3), eye="direction", check=False)
     config.update("jaxtyping_disable", False)
     mesh = trimesh.Trimesh(transfer.positions.numpy(), transfer.faces.numpy(), process=False)
     mesh.visual.vertex_colors = np.full((25, 4), 7, np.uint8)
@@ -64,6 +70,9 @@ def test_torch_is_really_out_of_reach(scene):
         (["scene.onnx", "--input", "small.npy"], "takes a light of shape [16, 3], not [9, 3]"),
         (["scene.onnx", "--mesh", "scene.onnx", "--output", "x.ply"], "is not a PLY file"),
         (["scene.onnx", "--mesh", "cut.ply", "--output", "x.ply"], "cut.ply is cut short"),
+        (["glossy.onnx"], "what the model shows depends on the eye: give --eye X Y Z"),
+        (["scene.onnx", "--eye", 1, 2, 3], "this model shows the same to every eye: leave out --eye"),
+        (["walk.onnx", "--eye", 1, 2, 3, "--input", "small.npy"], "the light of this model is fixed"),
         (["scene.onnx", "--mesh", "other.npz", "--output", "x.ply"], "has 4 vertices but the model shades 25"),
     ],
 )
@@ -103,6 +112,28 @@ def test_shades_cube_maps_and_given_lights(scene, run):
     found = np.array(text.splitlines()[-1].split()[2:], float)
     assert np.allclose(found, shader(transfer)(light).mean(0).numpy(), rtol=1e-4, atol=1e-5)
     assert "mean radiance" in run("cube.onnx")
+
+
+def test_shows_glossy_surfaces_to_an_eye(scene, run):
+    glossy = random_glossy(order=3, output_order=2)
+    light = torch.randn(9, 3, generator=torch.Generator().manual_seed(0))
+    np.save(scene[0] / "nine.npy", light.numpy())
+    eye = torch.tensor([1.0, 2.0, 3.0])
+    for arguments, radiance in (
+        (["glossy.onnx", "--input", "nine.npy"], shader(glossy)(light, eye=eye)),
+        (["walk.onnx"], shader(glossy)(torch.ones(9, 3), view=eye)),
+    ):
+        found = np.array(run(*arguments, "--eye", 1, 2, 3).splitlines()[-1].split()[2:], float)
+        assert np.allclose(found, radiance.mean(0).numpy(), rtol=1e-4, atol=1e-4)
+
+
+def test_the_snippet_for_glossy_surfaces_runs_as_it_stands(scene):
+    snippet = re.search(r"^```python\n(.*?)^```", (ROOT / "docs" / "onnx.md").read_text(), re.MULTILINE | re.DOTALL)
+    environment = os.environ | {"PYTHONPATH": str(scene[0])}
+    command = [sys.executable, "-c", snippet[1]]
+    result = subprocess.run(command, cwd=scene[0], env=environment, capture_output=True, text=True)
+    assert result.stderr == ""
+    assert result.stdout == "glossy ['phong:8'] (2, 7, 3)\n"
 
 
 def test_its_functions_are_those_of_the_project():

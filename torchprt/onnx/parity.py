@@ -65,9 +65,9 @@ def tolerance(order: int, module: Module | None = None) -> float:
     Each of the products on the way sums at most 2 n^2 terms, whose rounding errors add up as the square root of
     their number; the basis itself is good to a few rounding errors times the order. For a `module` that depends on
     the eye n is the larger of the orders of light and exit functions, which change that fast with the direction; a
-    table of factors, H texels wide, changes as fast as functions of order H. The
-    "reduced" exit functions are far from orthogonal on the hemisphere: coefficients are larger than what they sum up
-    to, by up to one over the root of the least eigenvalue of their Gram matrix (57 at order 5), and so is the error.
+    table of factors, H texels wide, changes as fast as functions of order H. The "reduced" exit functions are far from
+    orthogonal on the hemisphere: coefficients are larger than what they sum up to, by up to one over the root of the
+    least eigenvalue of their Gram matrix (57 at order 5), and so is the error.
     """
     shader = _shader(module)
     larger = 1.0

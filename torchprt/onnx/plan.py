@@ -61,7 +61,13 @@ def plan(
     about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
     if isinstance(transfer, DiffuseTransfer):
-        for name, value in (("fix_eye", fix_eye), ("fix_light", fix_light), ("exponent", exponent)):
+        given = {
+            "eye": None if eye == "point" else eye,
+            "fix_eye": fix_eye,
+            "fix_light": fix_light,
+            "exponent": exponent,
+        }
+        for name, value in given.items():
             if value is not None:
                 raise InputError(f"{name} is given, but diffuse transfer has neither eye nor lobe: omit it")
         _check_weights(transfer.transfer.numel() + _apart(transfer.albedo, transfer.channels) + texels)
