@@ -383,7 +383,7 @@ TRANSFERS = {
     "no_tensor": (lambda folder, path: rewritten(folder, path, drop=["albedo"]), "'albedo'"),
     "no_metadata": (lambda folder, path: rewritten(folder, path, drop=["rays"]), "'rays'"),
     "newer": (lambda folder, path: rewritten(folder, path, format="99"), "newer"),
-    "kind": (lambda folder, path: rewritten(folder, path, kind="glossy"), "'glossy'"),
+    "kind": (lambda folder, path: rewritten(folder, path, kind="subsurface"), "'subsurface'"),
     "nan": (lambda folder, path: rewritten(folder, path, poisoned), "NaN"),
     "dtype": (lambda folder, path: rewritten(folder, path, whole_numbers), "int32"),
     "shape": (lambda folder, path: rewritten(folder, path, shorter), "positions"),

@@ -1,0 +1,164 @@
+"""What the words of a command line mean: every option that is more than a number or the name of a file."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchprt.cli.report import say
+from torchprt.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torchprt.brdf import Brdf
+    from torchprt.scene import Material
+
+# Edge of a picture in pixels: its rays take 200 bytes each.
+LARGEST = 4096
+WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+FRAMES = ("exit", "incident", "visibility")
+PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
+
+
+def numbers(text: str, count: int | None, option: str) -> list[float]:
+    """Finite numbers with commas between them, `count` of them unless that is None."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{option} is '{text}': give numbers with commas between them") from None
+    if count is not None and len(found) != count:
+        raise InputError(f"{option} is '{text}': give {count} numbers with commas between them")
+    if not all(math.isfinite(number) for number in found):
+        raise InputError(f"{option} is '{text}': the numbers must be finite")
+    return found
+
+
+def choice(text: str, option: str, choices: Sequence[str]) -> Any:
+    """`text` if it is one of `choices`."""
+    if text not in choices:
+        raise InputError(f"{option} is '{text}': give {', '.join(choices[:-1])} or {choices[-1]}")
+    return text
+
+
+def bounces(text: str) -> int | float:
+    if text == "inf":
+        return math.inf
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"--bounces is '{text}': give a whole number or inf") from None
+
+
+def albedo(text: str | None) -> Any:
+    if text is None or text == "vertex":
+        return text
+    return _colour(text, "--albedo", ", or vertex")
+
+
+def material(text: str | None, specular: str | None) -> Material | None:
+    """The material of --material and --specular; None for the plain diffuse one."""
+    from torchprt.scene import read_material
+
+    if text is None:
+        if specular is not None:
+            raise InputError(f"--specular is '{specular}', but there is no gloss that it weighs: give --material too")
+        return None
+    with warnings.catch_warnings():
+        # It is looked at again, and warned of, when albedo and specular have their values.
+        warnings.simplefilter("ignore")
+        read = read_material(text)
+        return read if specular is None else replace(read, specular=_colour(specular, "--specular"))
+
+
+def gloss(text: str) -> Brdf:
+    """The reflectance of a material that is chosen when a bake is shaded."""
+    read = material(text, None)
+    if read is None or read.brdf is None:
+        raise InputError(f"--material is '{text}', which has no gloss: give one, as phong:40 or ggx:0.3")
+    return read.brdf
+
+
+def factors(text: str | None) -> int | float | None:
+    """A whole number is a count of rows, a number below 1 the error that may be left."""
+    if text is None:
+        return None
+    if text.isdecimal() and text.isascii() and int(text) > 0:
+        return int(text)
+    try:
+        error = float(text)
+    except ValueError:
+        error = math.nan
+    if not 0 < error < 1:
+        raise InputError(f"--factors is '{text}': give how many, as 4, or the error they may leave, as 0.05")
+    return error
+
+
+def size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= LARGEST and 1 <= int(height) <= LARGEST):
+        raise InputError(f"--size is '{text}': give WIDTHxHEIGHT in pixels, up to {LARGEST}x{LARGEST}")
+    return int(width), int(height)
+
+
+def direction(text: str, option: str) -> tuple[float, float, float]:
+    x, y, z = numbers(text, 3, option)
+    if not (x or y or z):
+        raise InputError(f"{option} is '{text}': give a direction, at least one number other than 0")
+    return x, y, z
+
+
+def eye(point: str | None, toward: str | None) -> dict[str, Tensor]:
+    """The keyword by which a shader takes the eye: "eye" for a point, "view" for a direction; empty without both."""
+    import torch
+
+    if point is not None and toward is not None:
+        raise InputError("--eye and --toward are both given: give one, a point or a direction toward a distant eye")
+    if point is not None:
+        return {"eye": torch.tensor(numbers(point, 3, "--eye"), dtype=torch.float64)}
+    if toward is not None:
+        return {"view": torch.tensor(direction(toward, "--toward"), dtype=torch.float64)}
+    return {}
+
+
+def light(path: Path, order: int, repair: bool) -> Tensor:
+    """A light of `order` from coefficients or an image, whose damage is told."""
+    from torchprt import light
+
+    if path.suffix.lower() == ".npy":
+        return light.read_coefficients(path, order)
+    image, report = light.read_with_report(path, repair=repair)
+    if report.damaged:
+        say(f"{path}: {report}")
+    if image.shape[1] != 2 * image.shape[0]:
+        raise InputError(
+            f"{path} is {image.shape[1]} x {image.shape[0]} pixels: an environment is a latitude-longitude map, "
+            "twice as wide as high"
+        )
+    return light.project(image, order)
+
+
+def windowed(coefficients: Tensor, name: str) -> Tensor:
+    """The light under one of `WINDOWS`; what the automatic one leaves is told."""
+    from torchprt import sh
+
+    order = math.isqrt(len(coefficients))
+    if name == "none":
+        return coefficients
+    if name == "auto":
+        least, kept = sh.least_window(coefficients)
+        say(f"the least window that keeps the light positive leaves {float(kept[-1]):.0%} of the highest band")
+        return least
+    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
+    return sh.window(coefficients, chosen(order, dtype=coefficients.dtype))
+
+
+def _colour(text: str, option: str, other: str = "") -> float | tuple[float, ...]:
+    found = numbers(text, None, option)
+    if len(found) not in (1, 3):
+        raise InputError(f"{option} is '{text}': give one number, three (r,g,b){other}")
+    return found[0] if len(found) == 1 else tuple(found)

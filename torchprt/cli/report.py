@@ -1,0 +1,85 @@
+"""What the command says: lines on standard output, complaints on standard error, what a bake holds."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torchprt.transfer import Transfer
+
+
+def say(what: Any) -> None:
+    print(what, flush=True)
+
+
+def complain(what: Any) -> None:
+    print(f"torchprt: {what}", file=sys.stderr, flush=True)
+
+
+def triple(values: Tensor) -> str:
+    return "({:.4g}, {:.4g}, {:.4g})".format(*values.tolist())
+
+
+def describe(transfer: Transfer) -> str:
+    """Kind, size and Monte Carlo error of a transfer in a line."""
+    from torchprt.transfer import DiffuseTransfer
+
+    parts = [transfer.kind, transfer.transport]
+    if transfer.bounces:
+        parts.append(f"{transfer.bounces} {'bounce' if transfer.bounces == 1 else 'bounces'}")
+    parts.append(f"order {transfer.order}")
+    stored = transfer.transfer if isinstance(transfer, DiffuseTransfer) else transfer.diffuse
+    if not isinstance(transfer, DiffuseTransfer):
+        parts.append(_rows(transfer))
+    parts += ["3 channels" if transfer.channels == 3 else "1 channel", f"{transfer.vertices} vertices"]
+    if not isinstance(transfer, DiffuseTransfer):
+        parts[-1] += f" ({len(transfer.glossy)} glossy)"
+    parts.append(f"{transfer.bytes / 2**20:.1f} MB of {str(stored.dtype).removeprefix('torch.')}")
+    if transfer.error is not None and transfer.signal:
+        parts.append(f"error {transfer.error / transfer.signal:.2%} (RMS, Monte Carlo estimate)")
+    return ", ".join(parts)
+
+
+def details(transfer: Transfer) -> list[str]:
+    """Lines about the surfaces of a transfer: albedo, materials, and how well its functions of the eye hold them."""
+    from torchprt.transfer import DiffuseTransfer, FactoredTransfer, IncidentTransfer, VisibilityTransfer
+
+    lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces, albedo {_weight(transfer.albedo)}"]
+    if isinstance(transfer, DiffuseTransfer):
+        return lines
+    names = ", ".join(transfer.materials) or "none"
+    lines.append(f"materials {names}, specular {_weight(transfer.specular)}")
+    if isinstance(transfer, IncidentTransfer):
+        lines.append("the reflectance is chosen when it is shaded" + ", bounces excepted" * bool(transfer.bounces))
+    elif isinstance(transfer, FactoredTransfer):
+        if transfer.factor_error is not None:
+            lines.append(f"{len(transfer.factors)} factors hold the material to {transfer.factor_error:.2%}")
+    elif transfer.exit_error is not None:
+        worst = names if len(transfer.materials) == 1 else "the worst material"
+        lines.append(f"exit functions of order {transfer.output_order} hold {worst} to {transfer.exit_error:.2%}")
+    if isinstance(transfer, VisibilityTransfer) and transfer.product_error is not None:
+        lines.append(f"visibility of order {transfer.visibility_order} costs {transfer.product_error:.2%} of radiance")
+    return lines
+
+
+def _rows(transfer: Any) -> str:
+    """What stands between the light and the eye at a glossy receiver."""
+    from torchprt.transfer import FactoredTransfer, IncidentTransfer, VisibilityTransfer
+
+    if isinstance(transfer, FactoredTransfer):
+        return f"{len(transfer.factors)} factors"
+    if isinstance(transfer, IncidentTransfer):
+        return f"incident radiance of order {transfer.output_order}"
+    shown = f"output order {transfer.output_order} ({transfer.projection})"
+    return (
+        f"visibility order {transfer.visibility_order}, {shown}" if isinstance(transfer, VisibilityTransfer) else shown
+    )
+
+
+def _weight(weight: Tensor) -> str:
+    if len(weight) == 1:
+        return ", ".join(f"{value:.3g}" for value in weight[0].tolist())
+    return f"of every vertex, mean {triple(weight.expand(-1, 3).mean(0))}"
