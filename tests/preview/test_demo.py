@@ -21,12 +21,14 @@ def small(monkeypatch):
     def few(scene, **options):
         return bake(scene, **{**options, "rays": 16, "bounces": min(options.get("bounces", 0), 2), "progress": False})
 
-    organic, square, box = samples.organic, samples.plane_and_blocker, samples.coloured_box
+    organic, square, box, teapot = samples.organic, samples.plane_and_blocker, samples.coloured_box, samples.teapot
     monkeypatch.setattr(demo, "bake", few)
     monkeypatch.setattr(demo, "SIZE", (180, 120))
     monkeypatch.setattr(demo.samples, "organic", lambda _, **options: organic(8000, **options))
     monkeypatch.setattr(demo.samples, "plane_and_blocker", lambda _: square(16))
     monkeypatch.setattr(demo.samples, "coloured_box", lambda _: box(8))
+    monkeypatch.setattr(demo.samples, "teapot", lambda _, material: teapot(8000, material))
+    monkeypatch.setattr(demo, "GLOSS", 3)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -45,13 +47,15 @@ def test_writes_every_file_that_it_names_and_no_other(small, untyped, tmp_path):
     demo.run(tmp_path / "new" / "demo", said.append)
     written = {path.name for path in (tmp_path / "new" / "demo").iterdir()}
     assert written == set(re.findall(r"[a-z]+\.(?:exr|safetensors|png|ply|onnx)", " ".join(said)))
-    assert len(written) == 8
+    assert len(written) == 12
     for path in (tmp_path / "new" / "demo").glob("*.png"):
         with PIL.Image.open(path) as picture:
             # More than a white sheet with black words.
             assert len(picture.convert("RGB").getcolors(1 << 24)) > 200
     transfer = load(tmp_path / "new" / "demo" / "sculpture.safetensors")
-    assert transfer.bounces == 2
+    assert (transfer.kind, transfer.bounces) == ("diffuse", 2)
+    transfer = load(tmp_path / "new" / "demo" / "teapot.safetensors")
+    assert (transfer.kind, transfer.order, transfer.bounces) == ("glossy", 3, 1)
     assert read(tmp_path / "new" / "demo" / "studio.exr").shape == (256, 512, 3)
 
 
