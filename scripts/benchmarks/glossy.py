@@ -1,129 +1,181 @@
-"""What do transfer matrices cost to bake? The share of tracing, frames and bounces, and the memory of 25k vertices.
+"""How far is the exit radiance of glossy transfer from the integral? By material, order, light, and frame.
 
     python scripts/benchmarks/glossy.py
 
-The bunny (TORCHPRT_DATA names the folder with mesh/bunny.ply) or, without it, the project's own sculpture; GGX of
-roughness .3, order 5, 25 x 25, 1024 rays, every core. A bake is compared with the same rays handed straight to
-embreex, as in bake.py.
+150 receivers of the bunny (TORCHPRT_DATA names the folder with mesh/bunny.ply and hdri/*.exr) or, without it, of the
+project's own sculpture, each seen from 150 directions that are uniform on its hemisphere. The reference is the
+integral over the hemisphere in float64 with 32768 rays, without any basis but that of the light. Errors are RMS
+relative to the RMS of the reference.
 """
 
-import json
+from __future__ import annotations
+
+import dataclasses
 import os
-import statistics
-import subprocess
-import sys
-import tempfile
-import time
 import warnings
 from pathlib import Path
-from typing import Any
 
-import rich
 import torch
-from bake import RAYS, bare_tracing, scene_to_measure, timed
-from memory import resident, rolling_ground
+from rich.console import Console
+from torch import Tensor
 
-from torchprt.bake import bake
-from torchprt.bake.solve import vertex_receivers
-from torchprt.light import project as project_light
-from torchprt.light import studio
-from torchprt.measure import Table
-from torchprt.scene import Material, Object, Scene, load
-from torchprt.shade import shader
-from torchprt.trace import Tracer
-from torchprt.transfer import load as load_transfer
-from torchprt.transfer import save
+from torchprt import brdf, light
+from torchprt.bake import OrderWarning, bake, hemisphere
+from torchprt.measure import (
+    Table,
+    compare_frames,
+    exit_radiance,
+    exit_radiance_by_brute_force,
+    random_lights,
+    relative_rms,
+    sample_receivers,
+    sample_transfer,
+)
+from torchprt.scene import Material, Mesh, Scene, TangentWarning, load, read_mesh, samples
+from torchprt.sh import Projection
+from torchprt.shade import shader, with_material
+from torchprt.transfer import GlossyTransfer
 
-ORDER, ROUNDS, LIMIT = 5, 5, 4 * 2**30
-GLOSS = "ggx:0.3"
+ORDER, HIGHEST, RECEIVERS, VIEWS = 5, 10, 150, 150
+MATERIALS = (
+    *("phong:10", "phong:20", "phong:40", "phong:80", "blinn:40", "blinn:160"),
+    *("ggx:0.5", "ggx:0.3", "ggx:0.3,0.04", "ggx:0.2", "ggx:0.1", "ward:0.1,0.4"),
+)
+CHOSEN = ("phong:10", "phong:20", "ggx:0.5", "ggx:0.3")
+# The mean of two bakes stands for twice the rays.
+MANY_RAYS, SEEDS = 4096, (0, 1)
 
 
-def share_of_tracing(scene: Scene, threads: int) -> Table:
-    """Rounds of a bake of matrices and of its bare rays, in turns."""
-    geometry = scene.geometry()
-    tracer = Tracer(geometry.positions, geometry.faces)
-    receivers = vertex_receivers(geometry, tracer)
-    rounds = []
-    for _ in range(ROUNDS):
-        whole, _ = timed(lambda: bake(scene, order=ORDER, rays=RAYS, threads=threads, progress=False))
-        rounds.append((whole, bare_tracing(tracer, receivers, threads)[0]))
-    table = Table(f"{len(receivers)} matrices of 25 x 25, {RAYS} rays, {threads} threads, {ROUNDS} rounds, wall")
-    values = {
-        "bake": ([each[0] for each in rounds], "s"),
-        "embreex alone": ([each[1] for each in rounds], "s"),
-        "share of embreex": ([100 * each[1] / each[0] for each in rounds], "%"),
-    }
-    for name, (found, unit) in values.items():
-        low, middle, high = statistics.quantiles(found, n=4)
-        table.add(name, extra={"median": middle, "quartiles": f"{low:.3g} - {high:.3g}", "unit": unit})
+def folder() -> Path:
+    return Path(os.environ.get("TORCHPRT_DATA") or Path(__file__).parents[3] / "shared" / "data")
+
+
+def mesh_to_measure(console: Console) -> Mesh:
+    """The bunny where there is one, else the sculpture; says which."""
+    path = folder() / "mesh" / "bunny.ply"
+    if path.is_file():
+        console.print(f"scene: {path.name}")
+        return read_mesh(path)
+    console.print(f"scene: the project's own sculpture, since there is no {path} (set TORCHPRT_DATA)")
+    return samples.organic(35_000).objects[0].mesh
+
+
+class Measured:
+    """One material on a few receivers: baked once at the highest output order, of which lower ones are a part."""
+
+    def __init__(self, mesh: Mesh, material: str):
+        scene = load(mesh, material=Material(0.0, gloss=material))
+        self.scene, self.chosen = sample_receivers(scene, RECEIVERS)
+        self.views = hemisphere(VIEWS, seed=3)
+
+    def reference(self, lights: Tensor) -> Tensor:
+        return exit_radiance_by_brute_force(self.scene, self.chosen, self.views, lights, seed=1)
+
+    def bake(self, rays: int, projection: Projection = "optimal", seeds: tuple[int, ...] = (0,)) -> GlossyTransfer:
+        options = {"order": ORDER, "output_order": HIGHEST, "projection": projection, "progress": False}
+        found = [bake(self.scene, rays=rays, seed=seed, **options) for seed in seeds]
+        return dataclasses.replace(found[0], matrix=sum(each.matrix for each in found) / len(found))
+
+    def radiance(self, transfer: GlossyTransfer, lights: Tensor, order: int | None = None) -> Tensor:
+        """Of the first exit functions, those of `order`, if it is given."""
+        if order is not None:
+            transfer = dataclasses.replace(transfer, matrix=transfer.matrix[:, :, : order * order], output_order=order)
+        module = shader(sample_transfer(transfer, self.chosen), dtype=torch.float64)
+        return exit_radiance(module, self.views, lights)
+
+
+def real_lights() -> dict[str, Tensor]:
+    """Photographed environments where there are any, a directional light, and a small disc."""
+    found = {}
+    for path in sorted((folder() / "hdri").glob("*.exr")):
+        image, _ = light.read_with_report(path)
+        found[path.stem] = light.project(image, ORDER).double()
+    found["directional"] = light.directional((0.3, 0.8, 0.5), order=ORDER).double().expand(-1, 3)
+    return found
+
+
+def orders_and_lights(mesh: Mesh) -> tuple[Table, Table, Table, Table]:
+    smooth = random_lights(8, ORDER)
+    white = torch.randn(8, ORDER**2, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    groups = {"random, nowhere negative": smooth, "white": white.expand(-1, -1, 3)}
+    groups |= {name: each[None] for name, each in real_lights().items()}
+    everything = torch.cat(list(groups.values()))
+    places = torch.arange(len(everything)).split([len(each) for each in groups.values()])
+    optimal = Table(f"optimal projection: error by output order, {MANY_RAYS} rays twice; and with 1024 rays")
+    zero = Table("projection zero: error by output order, 1024 rays")
+    figure = Table(
+        "figure 7 of Sloan, Hall, Hart and Snyder 2003, 1024 rays: both sides projected as there; then one, as here"
+    )
+    lights = Table(f"output order {ORDER}, optimal, 1024 rays: error by light")
+    for name in MATERIALS:
+        measured = Measured(mesh, name)
+        exact = measured.reference(everything)
+        wanted = exact[places[0]]
+        few, padded = measured.bake(1024), measured.bake(1024, "zero")
+        many = measured.bake(MANY_RAYS, seeds=SEEDS)
+        incident = bake(measured.scene, order=ORDER, frame="incident", progress=False)
+
+        def error(transfer: GlossyTransfer, order: int | None = None) -> str:
+            return percent(relative_rms(measured.radiance(transfer, smooth, order), wanted))  # noqa: B023
+
+        columns = {str(order): error(many, order) for order in range(3, HIGHEST + 1)}
+        optimal.add(name, extra=columns | {f"{order}, 1024 rays": error(few, order) for order in (5, 8)})
+        zero.add(name, extra={str(order): error(padded, order) for order in range(3, HIGHEST + 1)})
+        model = brdf.parse(name)
+        both = {
+            "zero, 16x25": with_material(incident, model, 4, "zero"),
+            "optimal, 16x25": with_material(incident, model, 4),
+            "zero, 25x25": with_material(incident, model, 5, "zero"),
+            "optimal, 25x25": with_material(incident, model, 5),
+        }
+        one = {"zero, 25": error(padded, 5), "optimal, 16": error(few, 4), "optimal, 25": error(few, 5)}
+        figure.add(name, extra={key: error(each) for key, each in both.items()} | one)
+        if name in CHOSEN:
+            found = measured.radiance(few, everything, ORDER)
+            by_light = {
+                each: percent(relative_rms(found[rows], exact[rows])) for each, rows in zip(groups, places, strict=True)
+            }
+            lights.add(name, extra=by_light | {"exit_error": percent(brdf.exit_error(model, ORDER, ORDER))})
+    return optimal, zero, figure, lights
+
+
+def factor_errors() -> Table:
+    """Cook-Torrance in products of a view and a light function."""
+    counts = (1, 2, 3, 4, 6, 8, 10, 12, 16)
+    table = Table("factored: error of unshadowed exit radiance under white light of order 4, by rows")
+    for name in ("ggx:0.5", "ggx:0.4", "ggx:0.3", "ggx:0.2", "ggx:0.1"):
+        errors = brdf.factor(brdf.parse(name), rows=1, light_order=4).errors
+        table.add(name, extra={str(count): percent(errors[count - 1]) for count in counts})
     return table
 
 
-def frames_and_bounces(scene: Scene, threads: int) -> Table:
-    table = Table("what else is recorded, and bounces, median of 3")
-    cases: dict[str, dict[str, Any]] = {
-        "exit matrices": {},
-        "incident matrices": {"frame": "incident"},
-        "visibility": {"frame": "visibility"},
-        "exit, 64 rows": {"output_order": 8},
-        "exit, 1 bounce": {"bounces": 1},
-        "exit, 2 bounces": {"bounces": 2},
-    }
-    times: dict[str, list[float]] = {name: [] for name in cases}
-    sizes = {}
-    for _ in range(3):
-        for name, options in cases.items():
-            start = time.perf_counter()
-            transfer = bake(scene, order=ORDER, rays=RAYS, threads=threads, progress=False, **options)
-            times[name].append(time.perf_counter() - start)
-            sizes[name] = transfer.bytes
-    first = statistics.median(times["exit matrices"])
-    for name, values in times.items():
-        middle = statistics.median(values)
-        table.add(name, seconds=middle, bytes=sizes[name], extra={"of exit matrices": middle / first})
+def exit_errors() -> Table:
+    table = Table(f"exit_error by output order: unshadowed, white light of order {ORDER}")
+    for name in MATERIALS:
+        model = brdf.parse(name)
+        errors = {str(n): percent(brdf.exit_error(model, n, ORDER)) for n in range(3, HIGHEST + 1)}
+        table.add(name, extra=errors)
     return table
 
 
-def life(vertices: int, bounces: int) -> dict[str, int]:
-    """Peak of the resident set while matrices are baked, saved, loaded and shaded."""
-    scene = Scene([Object(rolling_ground(vertices), Material(gloss=GLOSS))])
-    before = resident()
-    Path("/proc/self/clear_refs").write_text("5")
-    peaks = {"before": before}
-    transfer = bake(scene, order=ORDER, rays=RAYS, bounces=bounces, progress=False)
-    peaks["bake"] = resident(peak=True)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "matrices.safetensors"
-        save(transfer, path)
-        peaks["save"], peaks["file"] = resident(peak=True), path.stat().st_size
-        del transfer
-        shade = shader(load_transfer(path))
-        with torch.no_grad():
-            shade(project_light(studio(64), ORDER), view=torch.tensor([0.0, 1.0, 1.0]))
-        peaks["load and shade"] = resident(peak=True)
-    return peaks
+def percent(value: float) -> str:
+    return f"{100 * value:.2f} %"
 
 
 def run() -> None:
-    threads = os.cpu_count() or 1
-    plain = scene_to_measure()
-    scene = load([each.mesh for each in plain.objects], material=GLOSS)
-    rich.print(share_of_tracing(scene, threads))
-    rich.print(frames_and_bounces(scene, threads))
-    for bounces in (0, 1):
-        with tempfile.TemporaryFile("w+") as output:
-            subprocess.run([sys.executable, __file__, "25000", str(bounces)], stdout=output, check=True)
-            output.seek(0)
-            found = json.load(output)
-        text = ", ".join(f"{name} {size / 2**20:.0f}" for name, size in found.items())
-        peak = max(size for name, size in found.items() if name != "file")
-        verdict = "below" if peak < LIMIT else "NOT below"
-        rich.print(f"25k vertices, {bounces} bounces, peaks so far in MiB: {text}; {verdict} 4 GiB")
+    """Prints every table."""
+    torch.set_num_threads(1)
+    # Errors of too low an order are what is asked for.
+    warnings.simplefilter("ignore", OrderWarning)
+    warnings.simplefilter("ignore", TangentWarning)
+    console = Console(width=160)
+    mesh = mesh_to_measure(console)
+    for table in (*orders_and_lights(mesh), exit_errors(), factor_errors()):
+        console.print(table)
+    for name in ("phong:20", "ggx:0.3"):
+        scene: Scene = load(mesh, material=Material(0.0, gloss=name))
+        console.print(compare_frames(scene, factors=(3, 6, 12)))
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore")
-    if len(sys.argv) > 1:
-        print(json.dumps(life(*map(int, sys.argv[1:]))))
-    else:
-        run()
+    run()

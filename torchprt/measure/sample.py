@@ -1,0 +1,90 @@
+"""A few glossy receivers of a scene or of its transfer, so that a question costs seconds."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar
+
+import torch
+from jaxtyping import Int, Int64
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.scene import Geometry, Material, Object, Scene, make_mesh
+from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+
+T = TypeVar("T", bound=GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer)
+
+
+def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[Tensor, "g"]]:
+    """A scene of the same shadows in which little more than `count` glossy receivers record, and which those are.
+
+    They are drawn at random from the glossy receivers of `scene` that have a normal and a face; one face of each
+    records, of albedo 0 and specular weight 1, and all surfaces block. The second result numbers them among the glossy
+    receivers of the new scene, ascending: the corners of the same faces record too. For shadows alone: what was glossy
+    is black where rays hit it.
+    Raises InputError if `count` is below 1 or there are fewer such receivers.
+    """
+    geometry = scene.geometry()
+    face = torch.full((geometry.receivers,), -1)
+    corners = geometry.display_faces.flatten()
+    face[corners] = torch.arange(len(geometry.display_faces)).repeat_interleave(3)
+    glossy = geometry.glossy
+    usable = torch.nonzero((face[glossy] >= 0) & (geometry.receiver_normals[glossy] != 0).any(-1))[:, 0]
+    if not 1 <= count <= len(usable):
+        raise InputError(f"count is {count}: the scene has {len(usable)} glossy receivers, give a number up to that")
+    order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(seed))
+    chosen = usable[order[:count]]
+    objects: list[Object] = []
+    rows = []
+    for index in torch.unique(geometry.gloss_of_glossy[chosen]).tolist():
+        wanted = glossy[chosen[geometry.gloss_of_glossy[chosen] == index]]
+        faces = geometry.display_faces[torch.unique(face[wanted])]
+        used, faces = torch.unique(faces, return_inverse=True)
+        rows.append(torch.searchsorted(used, wanted.sort().values) + sum(len(each.mesh.positions) for each in objects))
+        objects.append(_recording(geometry, used, faces, Material(0.0, gloss=geometry.gloss[index])))
+    everything = make_mesh(geometry.positions, geometry.faces, name="all surfaces")
+    return Scene([*objects, Object(everything, Material(0.0), "blocker")]), torch.cat(rows)
+
+
+def sample_transfer(transfer: T, chosen: Int[Tensor, "g"]) -> T:
+    """The glossy layer alone of the receivers `glossy[chosen]`, of specular weight 1, without a diffuse layer.
+
+    A receiver may be chosen more than once. Raises InputError if `chosen` names one that there is not.
+    """
+    check_chosen(chosen, len(transfer.glossy))
+    rows = transfer.glossy.long()[chosen]
+    name = "visibility" if isinstance(transfer, VisibilityTransfer) else "matrix"
+    glossy: dict[str, Any] = {name: getattr(transfer, name).index_select(1, chosen)}
+    return dataclasses.replace(
+        transfer,
+        **glossy,
+        positions=transfer.positions[rows],
+        normals=transfer.normals[rows],
+        tangents=transfer.tangents[chosen],
+        faces=transfer.faces[:0],
+        albedo=torch.zeros(1, 1),
+        diffuse=transfer.diffuse[..., :0],
+        glossy=torch.arange(len(chosen)),
+        specular=torch.ones(1, 1),
+    )
+
+
+def check_chosen(chosen: Tensor, count: int) -> None:
+    """Raises InputError if `chosen` names a glossy receiver that there is not."""
+    outside = chosen[(chosen < 0) | (chosen >= count)]
+    if len(outside):
+        raise InputError(f"chosen names the glossy receiver {int(outside[0])}: there are {count}, numbered from 0")
+
+
+def _recording(geometry: Geometry, used: Tensor, faces: Tensor, material: Material) -> Object:
+    tangents = torch.zeros_like(geometry.receiver_normals)
+    tangents[geometry.glossy] = geometry.tangents
+    mesh = make_mesh(
+        geometry.receiver_positions[used],
+        faces,
+        normals=geometry.receiver_normals[used],
+        tangents=tangents[used],
+        name="receivers",
+    )
+    return Object(mesh, material)
