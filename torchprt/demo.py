@@ -157,9 +157,9 @@ def reflections(bakes: list[Transfer], lamps: Tensor) -> Tensor:
     camera = preview.frame(bakes[0].positions, (0.7, 0.75, 1.0), aspect=1.0)
     still = preview.Still(bakes[0].positions, bakes[0].faces, size=SIZE, camera=camera)
     radiance = [_shade(each, lamps, camera) for each in bakes]
-    labels = [f"{each.bounces} bounces" for each in bakes]
+    labels = [f"{each.bounces} bounces" if each.bounces != 1 else "1 bounce" for each in bakes]
     radiance.append(4 * (radiance[-1] - radiance[0]).clamp(min=0))
-    pictures = [still.picture(each, exposure=EXPOSURE) for each in radiance]
+    pictures = [still.picture(each, exposure=EXPOSURE - 1) for each in radiance]
     return preview.sheet(pictures, [*labels, "the difference, times 4"], columns=3)
 
 
@@ -170,7 +170,7 @@ def eyes(transfer: Transfer, lamps: Tensor) -> Tensor:
         turn = math.radians(angle)
         camera = preview.frame(transfer.positions, (math.sin(turn), 0.5, math.cos(turn)), aspect=1.0)
         still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
-        pictures.append(still.picture(_shade(transfer, lamps, camera), exposure=EXPOSURE))
+        pictures.append(still.picture(_shade(transfer, lamps, camera), exposure=EXPOSURE - 1))
         labels.append(f"eye at {angle} degrees from +z to +x")
     return preview.sheet(pictures, labels, columns=3)
 

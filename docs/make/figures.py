@@ -1,4 +1,4 @@
-"""The figures of docs/guide.md: what rays, order, bounces and half precision cost on the project's own samples.
+"""The figures of docs/guide.md: what rays, order, bounces, half precision and gloss cost on the project's own samples.
 
     python docs/make/figures.py
 
@@ -16,8 +16,9 @@ from torch import Tensor
 
 from torchprt import light
 from torchprt.bake import bake
-from torchprt.measure import Table, radiance_error, relative_rms
-from torchprt.scene import Points, Scene, samples
+from torchprt.brdf import exit_error, parse
+from torchprt.measure import Table, compare_frames, radiance_error, relative_rms
+from torchprt.scene import Material, Points, Scene, samples
 from torchprt.shade import shader
 from torchprt.transfer import DiffuseTransfer
 
@@ -96,6 +97,35 @@ def halves(scene: Scene, rows: Tensor, lamps: Tensor) -> Table:
     return table
 
 
+def frames() -> Table:
+    """What each way to store gloss costs, and loses, on one teapot."""
+    teapot = samples.teapot(VERTICES, "ggx:0.3")
+    return compare_frames(teapot, output_orders=(5, 4), factors=(4, 8), visibility_orders=(5, 10))
+
+
+def output_orders() -> Table:
+    """What exit functions of an order lose of a material: `brdf.exit_error`, no shadows, white light of order 5."""
+    table = Table("exit functions: relative RMS error of unshadowed exit radiance, light of order 5")
+    for material in ("phong:10", "phong:40", "blinn:40", "ggx:0.5", "ggx:0.3", "ggx:0.1", "ward:0.1,0.4"):
+        errors = {str(order): exit_error(parse(material), order, 5) for order in (3, 4, 5, 6, 8)}
+        table.add(material, extra={order: f"{error:.1%}" for order, error in errors.items()})
+    return table
+
+
+def glossy_bounces() -> Table:
+    """Radiance of a glossy teapot that is still missing after each bounce, toward one eye."""
+    lamps, eye = light.project(light.studio(256), 5).float(), torch.tensor([1.6, 2.0, 2.6])
+    table = Table("bounces between glossy surfaces: teapot, against four bounces")
+    metal, mixed = Material(gloss="ggx:0.3"), Material(0.4, gloss="ggx:0.3", specular=0.5)
+    for name, material in {"ggx:0.3": metal, "albedo .4, specular .5": mixed}.items():
+        teapot = samples.teapot(8000, material)
+        several = [bake(teapot, rays=256, bounces=count, progress=False) for count in (0, 1, 2, 4)]
+        shaded = [shader(transfer)(lamps, eye=eye) for transfer in several]
+        extra = {str(count): f"{relative_rms(shaded[count], shaded[-1]):.1%}" for count in range(3)}
+        table.add(name, extra=extra)
+    return table
+
+
 def main() -> None:
     torch.set_num_threads(1)
     console = Console(width=110)
@@ -108,6 +138,9 @@ def main() -> None:
         lambda: orders(scene, rows),
         bounces,
         lambda: halves(scene, rows, lamps),
+        output_orders,
+        frames,
+        glossy_bounces,
     )
     for make in makers:
         console.print(make())

@@ -11,6 +11,7 @@ import functools
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -24,7 +25,7 @@ from torchprt import demo, light, preview, sh
 from torchprt.bake import bake
 from torchprt.scene import Material, Mesh, Object, Scene, make_mesh, samples
 from torchprt.shade import display, shader
-from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer import DiffuseTransfer, Transfer
 
 FOLDER = Path(__file__).parents[1] / "images"
 EXPOSURE = -2.2
@@ -122,6 +123,83 @@ def ringing() -> Tensor:
     return torch.cat([preview.sheet(lights, labels, 4), preview.sheet(shadows, list(windowed), 4)])
 
 
+def seen_from(transfer: Transfer, lamps: Tensor, camera: preview.Camera) -> Tensor:
+    """Radiance of a glossy bake toward a camera."""
+    with torch.no_grad():
+        return shader(transfer)(lamps, eye=torch.tensor(camera.eye))
+
+
+def windowed(lamp: Tensor, order: int) -> Tensor:
+    """A light of float64 coefficients that rings less."""
+    return sh.window(lamp.float(), sh.lanczos(order, dtype=torch.float32))
+
+
+def teapot() -> Tensor:
+    """Copper under one lamp: unshadowed, with the shadows of knob and spout, and with the spout in the body."""
+    order, size = 8, (420, 290)
+    copper = Material(0.06, gloss="ggx:0.2", specular=(0.9, 0.62, 0.5))
+    scene = samples.teapot(20_000, copper)
+    options: dict[str, Any] = {"order": order, "rays": 512, "progress": False}
+    bakes = [bake(scene, **options, shadows=False), bake(scene, **options), bake(scene, **options, bounces=1)]
+    lamp = light.disc((-0.8, 0.75, -0.25), math.radians(14), (1.0, 0.8, 0.6), order, normalise=True)
+    sky = light.hemisphere((0.0, 1.0, 0.0), (0.05, 0.08, 0.13), 0.0, order)
+    lamps = windowed(lamp + sky, order)
+    points, faces = bakes[0].positions, bakes[0].faces
+    camera = preview.frame(points, (0.7, 0.9, 1.0), aspect=size[0] / size[1], field=25.0)
+    still = preview.Still(points, faces, size=size, camera=camera, samples=3)
+    radiance = [seen_from(each, lamps, camera) for each in bakes]
+    radiance.append(4 * (radiance[2] - radiance[1]).clamp(min=0))
+    labels = ["unshadowed", "shadows", "shadows and one bounce", "what the bounce adds, four times as bright"]
+    pictures = [still.picture(each, exposure=-0.2, background=0.01) for each in radiance]
+    return preview.sheet(pictures, labels, columns=2)
+
+
+def streaks() -> Tensor:
+    """A brushed dish: highlights that follow the tangents around, lie across them, or do neither."""
+    order, size = 8, (340, 300)
+    materials = {
+        "ward:0.12,0.5, brushed around": "ward:0.12,0.5",
+        "ward:0.5,0.12, brushed outward": "ward:0.5,0.12",
+        "ward:0.25,0.25, polished": "ward:0.25,0.25",
+    }
+    lamp = light.disc((1.0, 0.9, -0.45), math.radians(15), (1.0, 0.85, 0.6), order, normalise=True)
+    pictures = []
+    for material in materials.values():
+        transfer = bake(samples.dish(88, material), order=order, rays=512, progress=False)
+        camera = preview.frame(transfer.positions, (0.0, 1.0, 0.45), aspect=size[0] / size[1], field=25.0)
+        still = preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3)
+        radiance = seen_from(transfer, windowed(lamp, order), camera)
+        # Highlights of different size have different peaks: each fills the range of the picture.
+        peak = float(still.radiance(radiance, 0.0).quantile(0.99))
+        pictures.append(still.picture(radiance / peak, background=0.01))
+    return preview.sheet(pictures, list(materials), columns=3)
+
+
+def projections() -> Tensor:
+    """The exit functions of three projections on one teapot, and what each gets wrong."""
+    order, size, most = 5, (340, 240), 12
+    scene = samples.teapot(12_000, "ggx:0.4")
+    turn = sh.yaw_pitch_roll(torch.tensor([-20.0, 0.0, 0.0]))
+    lamps, _ = sh.least_window(sh.rotate(light.project(light.studio(256), order), turn))
+    options: dict[str, Any] = {"order": order, "rays": 512, "progress": False}
+    reference = bake(scene, **options, output_order=most)
+    camera = preview.frame(reference.positions, (0.5, 0.45, 1.0), aspect=size[0] / size[1], field=25.0)
+    still = preview.Still(reference.positions, reference.faces, size=size, camera=camera, samples=3)
+    wanted = seen_from(reference, lamps, camera)
+    shown = still.radiance(wanted, 0.0)
+    scale, exposure = float(shown.square().mean().sqrt()), -math.log2(float(shown.quantile(0.99))) - 0.3
+    pictures, maps, labels, errors = [], [], [], []
+    for rows, projection in ((25, "zero"), (25, "optimal"), (16, "optimal")):
+        found = bake(scene, **options, output_order=math.isqrt(rows), projection=projection)
+        radiance = seen_from(found, lamps, camera)
+        error = still.radiance(radiance - wanted, 0.0)
+        pictures.append(still.picture(radiance, exposure=exposure, background=0.01))
+        maps.append(1 - display(error.abs().mean(-1, keepdim=True).expand(-1, -1, 3) / scale, tone="none"))
+        labels.append(f"{rows} rows, projection '{projection}'")
+        errors.append(f"error {float(error.square().mean().sqrt()) / scale:.1%} (RMS; black is 100 %)")
+    return torch.cat([preview.sheet(pictures, labels, 3), preview.sheet(maps, errors, 3)])
+
+
 def lamp() -> plt.Figure:
     """A lamp toward (+x, a little up, a little front), as latitude-longitude map and as cube."""
     lamps = {
@@ -198,6 +276,9 @@ PICTURES = {
     "bleeding": demo.bleeding,
     "orders": demo.orders,
     "ringing": ringing,
+    "teapot": teapot,
+    "streaks": streaks,
+    "projections": projections,
     "basis": basis,
     "lamp": lamp,
 }

@@ -313,7 +313,6 @@ def test_a_picture_is_seen_by_its_own_camera_and_says_so(done, glossy, tmp_path)
     ("name", "options", "inputs"),
     [
         ("exit", [], ["light", "rotation", "eye"]),
-        ("exit", ["--eye", "direction"], ["light", "rotation", "view"]),
         ("exit", ["--fix-eye", "1,0,3"], ["light", "rotation"]),
         ("exit", ["--fix-light", "light.npy"], ["eye"]),
         ("incident", ["--material", "phong:9", "--eye", "direction"], ["light", "rotation", "view"]),
