@@ -73,6 +73,14 @@ def test_phong_of_exponent_one_against_its_closed_form(degrees):
     assert float(directional_albedo(Phong(1), tilted(degrees))) == pytest.approx(expected, rel=2e-4)
 
 
+@pytest.mark.parametrize("degrees", [0, 40, 80])
+def test_phong_of_exponent_zero_is_diffuse_light_from_half_of_the_directions(degrees):
+    """Those less than 90 degrees from the mirror direction: (1 + cos) / 2 of the cosine, by hand."""
+    expected = (1 + math.cos(math.radians(degrees))) / 2
+    # 1e-3 is what the quadrature promises of an edge.
+    assert float(directional_albedo(Phong(0), tilted(degrees))) == pytest.approx(expected, rel=2e-3)
+
+
 def test_ggx_of_full_roughness_at_normal_incidence():
     """1 - log 2, by hand."""
     assert float(directional_albedo(GGX(1), NORMAL)) == pytest.approx(1 - math.log(2), rel=1e-6)
@@ -99,7 +107,7 @@ def test_no_model_creates_light(brdf):
     check_energy(brdf)
 
 
-@pytest.mark.parametrize(("brdf", "factor"), [(GGX(0.05), 2.0), (Phong(1000), 1.01), (Lambert(), 1.002)])
+@pytest.mark.parametrize(("brdf", "factor"), [(GGX(0.1), 2.0), (Phong(60), 1.01), (Lambert(), 1.002)])
 def test_says_how_much_light_is_created_and_where(brdf, factor):
     # Turned into anisotropic functions, so that azimuths are looked at too.
     brighter = Measured(lambda v, s: factor * brdf(v, s), "bright", width=brdf.width)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -12,8 +13,10 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from torchprt import sh
+from torchprt.brdf.cells import cell_integrals
 from torchprt.brdf.half import half_rule
 from torchprt.brdf.models import Brdf
+from torchprt.brdf.tabulated import Tabulated
 from torchprt.errors import InputError
 
 Over = Literal["views", "lights"]
@@ -21,16 +24,21 @@ Functions = Callable[[Tensor], Tensor]
 Family = Callable[[Tensor, int], Tensor]
 
 TOLERANCE = 3e-5
-# What edges (tables, Phong exponents below 1) may cost when refining stops.
+# What edges (in functions of the user's, in Phong exponents below 1) may cost when refining stops.
 RELAXED = 1e-3
 _LEVELS = (16, 32, 64, 128, 256)
 _LARGEST_TABLE = 2048
 # From here on edges are taken for what stops the error from falling.
-_PATIENT_LEVEL, _PATIENT_TABLE = 32, 128
+_PATIENT_LEVEL, _PATIENT_TABLE, _PATIENT_AZIMUTHS = 32, 64, 32
 # Measured with lobes about the view itself, at which the first rule is wrong by a third.
 _NODES_IN_A_LOBE = 3
 # Numbers held at once: 100 MB in float64.
 _CHUNK = 12_000_000
+# Values of a model needed at once for one table, where it is refused: half a minute. A tenth of a function of the
+# user's, which is slower and may never settle.
+_MOST = 300_000_000
+# The part of the tolerance that waves left out may cost.
+_NOTHING = 1e-2
 # The table ends just above the horizon, where models without a limit of their own (f = 0) begin.
 _LAST_ANGLE = math.pi / 2 - 1e-6
 
@@ -41,38 +49,29 @@ def integrals(
     """int y_i(v) f(v, s) s_z dv for `fixed` lights s (`over` "views"), or int y_i(s) f(v, s) s_z ds for fixed views.
 
     y_i are those of `family`, `sh.basis` or `sh.hemisphere_basis`, of `order`. Right to 3e-5 of the RMS over all fixed
-    directions, 1e-3 for reflectances with edges. Isotropic models are integrated for fixed directions in the plane
-    y = 0 only, over whose angle theta a cubic spline is refined; then c_lm(theta) times cos(m phi) or sin(m phi).
-    Others are tabulated over azimuths too, with trigonometric interpolation between them. The tables are kept.
+    directions, 1e-3 where there are edges (see `RELAXED`); exact for tables, see `cell_integrals`.
+
+    Turned about the normal until the fixed direction has azimuth 0, the integrals are constant in that azimuth if the
+    BRDF is isotropic, else a Fourier series; the coefficients are cubic splines over the angle from the normal. Series
+    and splines are refined until they settle, and kept.
     Zero for fixed directions at or below the horizon.
-    Raises InputError if the reflectance is too narrow for that.
+    Raises InputError if the reflectance is too narrow or too rough for that.
     """
-    brdf = brdf.plain()
-    spline, azimuths = _table(brdf, family, order, over)
-    parts = [fixed.new_zeros(0, order * order)]
+    if isinstance(brdf, Tabulated):
+        return cell_integrals(brdf, fixed, family, order, views=over == "views")
+    table = _table(brdf.plain(), family, order, over)
     band = sh.bands(order)
     m = torch.arange(order * order) - band * (band + 1)
-    for chunk in fixed.split(max(1, _CHUNK // (4 * azimuths * order * order))):
+    opposite = band * (band + 1) - m
+    parts = [fixed.new_zeros(0, order * order)]
+    for chunk in fixed.split(max(1, _CHUNK // (4 * (table.columns + order * order)))):
         across = torch.linalg.vector_norm(chunk[:, :2], dim=-1)
         theta, phi = torch.atan2(across, chunk[:, 2]), torch.atan2(chunk[:, 1], chunk[:, 0])
-        held = torch.from_numpy(spline((1 - (1 - theta / _LAST_ANGLE).clamp(0, 1).sqrt()).numpy()))
-        if brdf.isotropic:
-            turn = phi[:, None] * m.abs()
-            values = held[:, 0, band * (band + 1) + m.abs()] * torch.where(m >= 0, turn.cos(), turn.sin())
-        else:
-            values = _between(held, phi)
+        turned = table(theta, phi)
+        turn = phi[:, None] * m
+        values = turned * turn.cos() - turned[:, opposite] * turn.sin()
         parts.append(torch.where(chunk[:, 2:] > 0, values, 0.0))
     return torch.cat(parts)
-
-
-def _between(values: Float64[Tensor, "D P N"], phi: Float64[Tensor, " D"]) -> Float64[Tensor, "D N"]:
-    """Trigonometric interpolation of values at P equal steps around, P even."""
-    count = values.shape[1]
-    steps = phi[:, None] - torch.arange(count) * (2 * math.pi / count)
-    # The sum of the waves of a unit impulse, the last with half weight.
-    waves = torch.arange(1, count // 2)
-    kernel = (1 + 2 * (steps[..., None] * waves).cos().sum(-1) + (steps * (count // 2)).cos()) / count
-    return (kernel[:, None] @ values)[:, 0]
 
 
 def integrate(
@@ -85,14 +84,58 @@ def integrate(
         for chunk in fixed.split(max(1, _CHUNK // (2 * level * level * (count + 40)))):
             above = chunk[:, 2:] > 0
             held = torch.where(above, chunk, chunk.new_tensor([0.0, 0.0, 1.0]))
-            # Around the normal an anisotropic lobe is the narrower the more its two widths differ.
-            other, weights = half_rule(held, level if brdf.isotropic else level // 2, 2 * level)
-            held = held[:, None]
-            values = brdf(other, held) * held[..., 2] if over == "views" else brdf(held, other) * other[..., 2]
+            other, weights = _rule(brdf, held, level)
+            values = _weighted(brdf, held[:, None], other, over) * weights
             # Components come first in memory: one product for each fixed direction.
             table = functions(other).permute(0, 2, 1)
-            parts.append(torch.where(above, (table @ (values * weights)[..., None])[..., 0], 0.0))
+            parts.append(torch.where(above, (table @ values[..., None])[..., 0], 0.0))
     return torch.cat(parts)
+
+
+def _rule(brdf: Brdf, fixed: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    # Around the normal an anisotropic lobe is the narrower the more its two widths differ.
+    return half_rule(fixed, level if brdf.isotropic else level // 2, 2 * level)
+
+
+def _weighted(brdf: Brdf, fixed: Tensor, other: Tensor, over: Over) -> Tensor:
+    """f(v, s) s_z."""
+    return brdf(other, fixed) * fixed[..., 2] if over == "views" else brdf(fixed, other) * other[..., 2]
+
+
+def _turned_integrals(
+    brdf: Brdf,
+    theta: Float64[Tensor, " D"],
+    phi: Float64[Tensor, " P"],
+    family: Family,
+    order: int,
+    level: int,
+    over: Over,
+) -> Float64[Tensor, "D P N"]:
+    """The integrals for fixed directions at angles `theta` and azimuths `phi`, in the frame turned back by phi.
+
+    There the nodes of the rule, and so the functions, are the same for every azimuth.
+    """
+    fixed = torch.stack([theta.sin(), torch.zeros_like(theta), theta.cos()], -1)
+    parts = []
+    nodes = 2 * level * level
+    with torch.no_grad():
+        for chunk in fixed.split(max(1, _CHUNK // (nodes * (order * order + 20 * len(phi))))):
+            other, weights = _rule(brdf, chunk, level)
+            table = family(other, order).mT * weights[:, None]
+            around = [
+                _weighted(brdf, _turn(chunk[:, None, None], some), _turn(other[:, None], some), over)
+                for some in phi[:, None].split(max(1, _CHUNK // (20 * nodes)))
+            ]
+            parts.append(torch.cat(around, 1) @ table.mT)
+    return torch.cat(parts)
+
+
+def _turn(directions: Float64[Tensor, "*#D 3"], phi: Float64[Tensor, "*#D"]) -> Float64[Tensor, "..."]:
+    """About the normal, by `phi`; they broadcast."""
+    x, y, z = directions.unbind(-1)
+    cosine, sine = phi.cos(), phi.sin()
+    turned = torch.broadcast_tensors(cosine * x - sine * y, sine * x + cosine * y, z)
+    return torch.stack(turned, -1)
 
 
 def settled(
@@ -119,26 +162,39 @@ def settled(
     raise _too_narrow(brdf)
 
 
-@functools.lru_cache(maxsize=64)
-def _table(brdf: Brdf, family: Family, order: int, over: Over) -> tuple[Callable, int]:
-    """The integrals as a cubic spline over the angle of the fixed direction, and how many azimuths it holds.
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """The integrals in the turned frame: a spline over the angle for every wave in the azimuth that a function has.
 
-    Its values are `[azimuths, N]`, at equal steps; one azimuth, 0, if the BRDF is isotropic.
+    Waves are numbered 1, sin phi, cos phi, sin 2 phi, ...
     """
-    from scipy.interpolate import CubicSpline
 
-    def functions(directions: Tensor) -> Tensor:
-        return family(directions, order)
+    spline: Callable
+    waves: Tensor
+    functions: Float64[Tensor, "C N"]
+
+    @property
+    def columns(self) -> int:
+        return len(self.waves)
+
+    def __call__(self, theta: Float64[Tensor, " D"], phi: Float64[Tensor, " D"]) -> Float64[Tensor, "D N"]:
+        held = torch.from_numpy(self.spline((1 - (1 - theta / _LAST_ANGLE).clamp(0, 1).sqrt()).numpy()))
+        turn = phi[:, None] * torch.arange(int(self.waves.max() + 1) // 2 + 1)
+        series = torch.stack([turn.sin(), turn.cos()], -1).flatten(1)[:, 1:]
+        return (held * series[:, self.waves]) @ self.functions
+
+
+@functools.lru_cache(maxsize=64)
+def _table(brdf: Brdf, family: Family, order: int, over: Over) -> _Table:
 
     def at(steps: Tensor, azimuths: int, offset: float = 0.0) -> Tensor:
-        theta = _LAST_ANGLE * steps * (2 - steps)
+        if len(steps) * azimuths * 2 * level * level > (_MOST if brdf.about_mirror else _MOST // 10):
+            raise _too_narrow(brdf)
         phi = (torch.arange(azimuths, dtype=torch.float64) + offset) * (2 * math.pi / azimuths)
-        theta, phi = torch.meshgrid(theta, phi, indexing="ij")
-        fixed = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
-        return integrate(brdf, fixed.reshape(-1, 3), functions, level, over=over).reshape(len(steps), azimuths, -1)
+        return _turned_integrals(brdf, _LAST_ANGLE * steps * (2 - steps), phi, family, order, level, over)
 
     with torch.inference_mode(False):
-        level = _settled(brdf, functions, over)
+        level = _settled(brdf, lambda directions: family(directions, order), over)
         azimuths = 1
         few = torch.linspace(0, 1, 9, dtype=torch.float64)
         if not brdf.isotropic:
@@ -152,7 +208,9 @@ def _table(brdf: Brdf, family: Family, order: int, over: Over) -> tuple[Callable
                 )
                 guess = torch.fft.irfft(waves * shift[:, None], n=azimuths, dim=1)
                 values = torch.stack([values, found], 2).flatten(1, 2)
-                if _agree(brdf, few, guess, found, TOLERANCE, azimuths > _LARGEST_TABLE // 8):
+                if _agree(
+                    brdf, few, guess, found, TOLERANCE, azimuths >= _PATIENT_AZIMUTHS, azimuths > _LARGEST_TABLE // 8
+                ):
                     break
                 azimuths *= 2
         steps = torch.linspace(0, 1, 17, dtype=torch.float64)
@@ -160,12 +218,35 @@ def _table(brdf: Brdf, family: Family, order: int, over: Over) -> tuple[Callable
         while True:
             between = (steps[1:] + steps[:-1]) / 2
             found = at(between, azimuths)
-            guess = torch.from_numpy(CubicSpline(steps.numpy(), values.numpy())(between.numpy()))
+            guess = torch.from_numpy(_spline(steps, values)(between.numpy()))
             steps, place = torch.cat([steps, between]).sort()
             values = torch.cat([values, found])[place]
             # With the points between, the error of a cubic spline falls to a sixteenth of what was found.
-            if _agree(brdf, between, guess, found, 8 * TOLERANCE, len(steps) > _LARGEST_TABLE):
-                return CubicSpline(steps.numpy(), values.numpy()), azimuths
+            if _agree(
+                brdf, between, guess, found, 8 * TOLERANCE, len(between) >= _PATIENT_TABLE, len(steps) > _LARGEST_TABLE
+            ):
+                return _series(steps, values)
+
+
+def _series(steps: Float64[Tensor, " T"], values: Float64[Tensor, "T P N"]) -> _Table:
+    """A table of values at P equal steps of azimuth, without the waves that are not there."""
+    count = values.shape[1]
+    waves = torch.fft.rfft(values, dim=1) / count
+    # The mean, and the last wave of an even count, stand once in the sum.
+    twice = torch.where((2 * torch.arange(waves.shape[1])) % count == 0, 1.0, 2.0)[:, None]
+    series = torch.stack([-waves.imag * twice, waves.real * twice], 2).flatten(1, 2)[:, 1:]
+    power = series.square().sum(0).flatten()
+    smallest = power.argsort()
+    total = power[smallest].cumsum(0)
+    kept = smallest[total > (_NOTHING * TOLERANCE) ** 2 * total[-1]].sort().values if total[-1] > 0 else smallest[:1]
+    functions = torch.nn.functional.one_hot(kept % values.shape[2], values.shape[2]).double()
+    return _Table(_spline(steps, series.flatten(1)[:, kept]), kept // values.shape[2], functions)
+
+
+def _spline(steps: Tensor, values: Tensor) -> Callable:
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(steps.numpy(), values.numpy())
 
 
 def _settled(brdf: Brdf, functions: Functions, over: Over) -> int:
@@ -173,15 +254,16 @@ def _settled(brdf: Brdf, functions: Functions, over: Over) -> int:
     return settled(brdf, some[some[:, 2] > 0], functions, over=over)[0]
 
 
-def _agree(brdf: Brdf, steps: Tensor, guess: Tensor, found: Tensor, tolerance: float, last: bool) -> bool:
-    """Whether a table is fine enough. Raises InputError if it is not and it is the `last` that is tried."""
+def _agree(
+    brdf: Brdf, steps: Tensor, guess: Tensor, found: Tensor, tolerance: float, patient: bool, last: bool
+) -> bool:
+    """Whether a table is fine enough, for edges if it is `patient`. Raises InputError if not and it is the `last`."""
     # The solid angle that each step stands for: steps crowd near the horizon.
     area = ((_LAST_ANGLE * steps * (2 - steps)).sin() * (1 - steps)).sqrt()[:, None, None]
     error, size = float((area * (guess - found)).norm()), float((area * found).norm())
     if last and error > RELAXED * size:
         raise _too_narrow(brdf)
-    patient = not brdf.about_mirror and len(steps) >= _PATIENT_TABLE
-    return last or error <= (max(tolerance, RELAXED) if patient else tolerance) * size
+    return last or error <= (max(tolerance, RELAXED) if patient and not brdf.about_mirror else tolerance) * size
 
 
 def _too_narrow(brdf: Brdf) -> InputError:

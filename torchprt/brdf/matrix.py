@@ -25,9 +25,10 @@ def exit_kernel(
     A receiver's exit matrix is M_ij = int V(s) K_i(s) y_j(s) ds, s in its local frame: the incident side is integrated
     against the rays themselves, so of the product M = P B P T of the paper only the first P and B remain.
     "optimal": K_i = int_H h_i f s_z dv in `sh.hemisphere_basis`; else P b, b_i = int_H y_i f s_z dv, with P of
-    `sh.hemisphere_projection`. Right to 3e-5 of the RMS, 1e-3 if f has edges. Zero at and below the horizon.
+    `sh.hemisphere_projection`. Right to 3e-5 of the RMS, 1e-3 if f is a function of the user's with edges or Phong's
+    model with an exponent below 1; exact for a table. Zero at and below the horizon.
     Raises InputError if directions are not of unit length, `order` is below 1, `projection` is unknown or cannot be
-    solved at that order, or the lobe is too narrow to be integrated.
+    solved at that order, or the lobe is too narrow or too rough to be integrated.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3 and 9.
     """
     sh.exit_count(order, projection)

@@ -110,6 +110,11 @@ class Phong(Model):
         _check("exponent", self.exponent, 0, math.inf)
 
     @property
+    def about_mirror(self) -> bool:  # type: ignore[override]
+        # Below 1 there is an edge a right angle away from the mirror direction, and hardly a lobe.
+        return _least(self.exponent) >= 1
+
+    @property
     def width(self) -> float:  # type: ignore[override]
         return 1 / math.sqrt(1 + _largest(self.exponent))
 

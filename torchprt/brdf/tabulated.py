@@ -60,26 +60,26 @@ class Tabulated(Brdf):
     def width(self) -> float:  # type: ignore[override]
         shape = self.values.shape
         angles, turns = ((0, 1), (2,)) if self.isotropic else ((0, 2), (1, 3))
-        around = math.pi if self.isotropic else 2 * math.pi
-        steps = [math.pi / 2 / (shape[axis] - 1) for axis in angles] + [around / shape[axis] for axis in turns]
+        circle = math.pi if self.isotropic else 2 * math.pi
+        sizes = [math.pi / 2 / (shape[axis] - 1) for axis in angles] + [circle / shape[axis] for axis in turns]
         # What a table is for is a few steps wide.
-        return 4 * min(steps)
+        return 4 * min(sizes)
 
     def _above(self, view: Tensor, light: Tensor) -> Tensor:
         values = self.values.to(view.device, torch.promote_types(view.dtype, light.dtype))
         view, light = torch.broadcast_tensors(view, light)
-        tilts = _tilt(view), _tilt(light)
+        tilts = tilt(view), tilt(light)
         if self.isotropic:
             across = (view[..., 0] * light[..., 1] - view[..., 1] * light[..., 0]).abs()
             along = view[..., 0] * light[..., 0] + view[..., 1] * light[..., 1]
-            places = [_steps(tilts[0], values.shape[0]), _steps(tilts[1], values.shape[1])]
-            places.append(_steps(_angle(across, along) / 2, values.shape[2]))
+            places = [steps(tilts[0], values.shape[0]), steps(tilts[1], values.shape[1])]
+            places.append(steps(_angle(across, along) / 2, values.shape[2]))
         else:
             places = [
-                _steps(tilts[0], values.shape[0]),
-                _around(view, values.shape[1]),
-                _steps(tilts[1], values.shape[2]),
-                _around(light, values.shape[3]),
+                steps(tilts[0], values.shape[0]),
+                around(view, values.shape[1]),
+                steps(tilts[1], values.shape[2]),
+                around(light, values.shape[3]),
             ]
         total = torch.zeros_like(tilts[0])
         for corner in itertools.product((0, 1), repeat=len(places)):
@@ -132,7 +132,7 @@ class Measured(Brdf):
         return value
 
 
-def _tilt(direction: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D"]:
+def tilt(direction: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D"]:
     """The angle from the normal, with a finite gradient at it."""
     squared = direction[..., 0].square() + direction[..., 1].square()
     off = squared > 0
@@ -145,14 +145,15 @@ def _angle(across: Tensor, along: Tensor) -> Tensor:
     return torch.atan2(across, torch.where(off, along, 1.0))
 
 
-def _steps(angle: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def steps(angle: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """The indices on both sides of an angle from 0 to pi / 2 at `count` equal steps, and the part of the higher."""
     place = angle * ((count - 1) / (math.pi / 2))
     low = place.detach().floor().clamp(0, count - 2)
     return low.long(), low.long() + 1, (place - low).clamp(0, 1)
 
 
-def _around(direction: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def around(direction: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Likewise for the azimuth, at `count` equal steps around the full circle."""
     place = _angle(direction[..., 1], direction[..., 0]) * (count / (2 * math.pi))
     low = place.detach().floor()
     return low.long() % count, (low.long() + 1) % count, place - low
