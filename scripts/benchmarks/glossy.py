@@ -19,7 +19,7 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
-from torchprt import brdf, light
+from torchprt import brdf, light, sh
 from torchprt.bake import OrderWarning, bake, hemisphere
 from torchprt.measure import (
     Table,
@@ -85,7 +85,7 @@ class Measured:
 
 
 def real_lights() -> dict[str, Tensor]:
-    """Photographed environments where there are any, a directional light, and a small disc."""
+    """Photographed environments where there are any, and a directional light."""
     found = {}
     for path in sorted((folder() / "hdri").glob("*.exr")):
         image, _ = light.read_with_report(path)
@@ -96,9 +96,10 @@ def real_lights() -> dict[str, Tensor]:
 
 def orders_and_lights(mesh: Mesh) -> tuple[Table, Table, Table, Table]:
     smooth = random_lights(8, ORDER)
-    white = torch.randn(8, ORDER**2, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    groups = {"random, nowhere negative": smooth, "white": white.expand(-1, -1, 3)}
-    groups |= {name: each[None] for name, each in real_lights().items()}
+    groups = {"random": smooth, "white": white_lights()}
+    real = real_lights()
+    groups |= {name: each[None] for name, each in real.items()}
+    groups |= {f"{name}, windowed": sh.least_window(each)[0][None] for name, each in real.items()}
     everything = torch.cat(list(groups.values()))
     places = torch.arange(len(everything)).split([len(each) for each in groups.values()])
     optimal = Table(f"optimal projection: error by output order, {MANY_RAYS} rays twice; and with 1024 rays")
@@ -106,7 +107,7 @@ def orders_and_lights(mesh: Mesh) -> tuple[Table, Table, Table, Table]:
     figure = Table(
         "figure 7 of Sloan, Hall, Hart and Snyder 2003, 1024 rays: both sides projected as there; then one, as here"
     )
-    lights = Table(f"output order {ORDER}, optimal, 1024 rays: error by light")
+    lights = Table("optimal projection, 1024 rays: error by light and output order")
     for name in MATERIALS:
         measured = Measured(mesh, name)
         exact = measured.reference(everything)
@@ -131,12 +132,39 @@ def orders_and_lights(mesh: Mesh) -> tuple[Table, Table, Table, Table]:
         one = {"zero, 25": error(padded, 5), "optimal, 16": error(few, 4), "optimal, 25": error(few, 5)}
         figure.add(name, extra={key: error(each) for key, each in both.items()} | one)
         if name in CHOSEN:
-            found = measured.radiance(few, everything, ORDER)
-            by_light = {
-                each: percent(relative_rms(found[rows], exact[rows])) for each, rows in zip(groups, places, strict=True)
-            }
-            lights.add(name, extra=by_light | {"exit_error": percent(brdf.exit_error(model, ORDER, ORDER))})
+            for order in (5, 8):
+                found = measured.radiance(few, everything, order)
+                pairs = zip(groups, places, strict=True)
+                errors = {each: percent(relative_rms(found[rows], exact[rows])) for each, rows in pairs}
+                windowed = {each: errors.pop(f"{each}, windowed") for each in real}
+                told = {"exit_error": percent(brdf.exit_error(model, order, ORDER))}
+                lights.add(f"{name}, order {order}", extra=errors | told)
+                lights.add(f"{name}, order {order}, windowed", extra=windowed)
     return optimal, zero, figure, lights
+
+
+def product_errors(mesh: Mesh) -> Table:
+    table = Table("frame visibility: difference to the matrices of the same 1024 rays")
+    lights = torch.cat([random_lights(8, ORDER), white_lights()])
+    for name in ("phong:20", "ggx:0.3"):
+        measured = Measured(mesh, name)
+        options = {"order": ORDER, "progress": False}
+        wanted = measured.radiance(bake(measured.scene, **options), lights)
+        for order in (3, 5, 8, 10):
+            transfer = bake(measured.scene, frame="visibility", visibility_order=order, **options)
+            found = measured.radiance(transfer, lights)
+            measured_errors = {
+                "measured, white": percent(relative_rms(found[8:], wanted[8:])),
+                "measured, random": percent(relative_rms(found[:8], wanted[:8])),
+            }
+            table.add(f"{name}, {order}", extra={"product_error": percent(transfer.product_error), **measured_errors})
+    return table
+
+
+def white_lights() -> Tensor:
+    """Coefficients all independent, of one variance: negative in places."""
+    white = torch.randn(8, ORDER**2, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    return white.expand(-1, -1, 3)
 
 
 def factor_errors() -> Table:
@@ -170,7 +198,7 @@ def run() -> None:
     warnings.simplefilter("ignore", TangentWarning)
     console = Console(width=160)
     mesh = mesh_to_measure(console)
-    for table in (*orders_and_lights(mesh), exit_errors(), factor_errors()):
+    for table in (*orders_and_lights(mesh), exit_errors(), product_errors(mesh), factor_errors()):
         console.print(table)
     for name in ("phong:20", "ggx:0.3"):
         scene: Scene = load(mesh, material=Material(0.0, gloss=name))
