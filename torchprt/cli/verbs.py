@@ -284,7 +284,7 @@ def demo(
 
 
 def _gloss_of(transfer: Transfer, material: str | None) -> Any:
-    """The reflectance that `transfer` leaves open; None if it leaves none."""
+    """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
     from torchprt.transfer import IncidentTransfer
 
     if not isinstance(transfer, IncidentTransfer):
@@ -293,7 +293,11 @@ def _gloss_of(transfer: Transfer, material: str | None) -> Any:
         return None
     if material is None:
         raise InputError("incident transfer leaves the reflectance open: give --material, as phong:40 or ggx:0.3")
-    return options.gloss(material)
+    from torchprt.brdf import exit_error
+
+    brdf, order = options.gloss(material), transfer.output_order
+    say(f"exit functions of order {order} hold {brdf.spec} to {exit_error(brdf, order, order):.2%}")
+    return brdf
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:
