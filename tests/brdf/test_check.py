@@ -102,6 +102,16 @@ def test_agrees_with_a_rule_that_knows_nothing_of_lobes(brdf):
     torch.testing.assert_close(directional_albedo(brdf, views), brute, rtol=1e-4, atol=0)
 
 
+@pytest.mark.parametrize("shape", [(4, 5, 6), (3, 4, 5, 6)])
+def test_the_albedo_of_a_random_table_agrees_with_a_rule_that_knows_nothing_of_cells(shape):
+    table = Tabulated(torch.rand(shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64))
+    views = tilted(0.5, 20, 50, 89)
+    lights, weights = sh.gauss_legendre_hemisphere(500)
+    brute = (table(views[:, None], lights) * lights[:, 2] * weights).sum(-1)
+    # The edges between cells cost the rule the square of its steps.
+    torch.testing.assert_close(directional_albedo(table, views), brute, rtol=1e-4, atol=0)
+
+
 @pytest.mark.parametrize("brdf", SHARP, ids=lambda brdf: brdf.spec)
 def test_no_model_creates_light(brdf):
     check_energy(brdf)
