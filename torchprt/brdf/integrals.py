@@ -34,7 +34,7 @@ _PATIENT_LEVEL, _PATIENT_TABLE, _PATIENT_AZIMUTHS = 32, 64, 32
 _NODES_IN_A_LOBE = 3
 # Numbers held at once: 100 MB in float64.
 _CHUNK = 12_000_000
-# Values of a model needed at once for one table, where it is refused: half a minute. A tenth of a function of the
+# A model is refused if a table needs more values of it at once (half a minute); a tenth of that for a function of the
 # user's, which is slower and may never settle.
 _MOST = 300_000_000
 # The part of the tolerance that waves left out may cost.
