@@ -328,6 +328,20 @@ def test_visibility_meets_the_light_as_the_matrix_does():
     assert coarse.product_error > 0.03
 
 
+@pytest.mark.parametrize("output_order", [3, 8])
+def test_the_error_of_products_is_that_of_the_order_that_is_shaded(output_order):
+    scene = floor_and_wall(shiny("phong:20"), 5)
+    matrices = quiet(scene, order=4, rays=512, output_order=output_order)
+    products = quiet(scene, order=4, rays=512, output_order=output_order, frame="visibility", visibility_order=5)
+    nodes, _ = sh.gauss_legendre_hemisphere(products.degree)
+    seen = products.visibility.double().T @ sh.hemisphere_basis(nodes, 5).T
+    lights = sh.basis(torch.einsum("dk,vkj->vdj", nodes, frames_of(products)), 4)
+    found = torch.einsum("md,vd,vdn->vmn", products.kernel.double(), seen, lights)
+    difference = float((found - matrices.matrix[0].double()).norm() / found.norm())
+    # The matrices have the correction of 512 rays toward the closed form.
+    assert products.product_error == pytest.approx(difference, abs=1e-3)
+
+
 def test_two_materials_and_a_diffuse_object_share_a_scene():
     objects = [
         Object(square(1.0, 4), shiny("phong:10")),

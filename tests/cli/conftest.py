@@ -84,3 +84,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_transfer(bake(scene, order=4, rays=64, threads=1, progress=False), made / "ball.safetensors")
     save_exr(made / "lamp.exr", lamp((1.0, 0.0, 0.0)))
     return made
+
+
+@pytest.fixture
+def done(run):
+    """The command, which must succeed and complain of nothing but progress; what it said."""
+
+    def done(*arguments):
+        ended = run(*arguments)
+        assert ended.code == 0, ended.err
+        assert "torchprt:" not in ended.err
+        return ended.out
+
+    return done

@@ -45,19 +45,6 @@ def glossy(tmp_path_factory):
 
 
 @pytest.fixture
-def done(run):
-    """The command, which must succeed and complain of nothing; what it said."""
-
-    def done(*arguments):
-        ended = run(*arguments)
-        assert ended.code == 0, ended.err
-        assert "torchprt:" not in ended.err
-        return ended.out
-
-    return done
-
-
-@pytest.fixture
 def baked(done, glossy, tmp_path):
     """The transfer that `bake` with these options leaves, and what the command said."""
 

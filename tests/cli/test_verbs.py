@@ -17,19 +17,6 @@ EPSILON = np.finfo(np.float32).eps
 
 
 @pytest.fixture
-def done(run):
-    """The command, which must succeed and complain of nothing but progress; what it said."""
-
-    def done(*arguments):
-        ended = run(*arguments)
-        assert ended.code == 0, ended.err
-        assert "torchprt:" not in ended.err
-        return ended.out
-
-    return done
-
-
-@pytest.fixture
 def shaded(done, folder, tmp_path):
     """Radiance by way of an .npy file."""
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from path_tracer import variant
 
 from torchprt.brdf import GGX, Lambert
 
@@ -11,11 +12,8 @@ mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mit
 
 @pytest.fixture(scope="module")
 def mitsuba():
-    try:
-        mi.set_variant("llvm_ad_rgb")
-        mi.Float([1.0, 2.0]) + 1
-    except (ImportError, RuntimeError, AttributeError) as fault:
-        pytest.skip(f"Mitsuba's LLVM variant does not run here (it needs the library libLLVM): {fault}")
+    if fault := variant(mi):
+        pytest.skip(fault)
     return mi
 
 

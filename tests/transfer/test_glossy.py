@@ -66,7 +66,7 @@ def test_refuses_coefficients_that_are_no_order(kind, count):
     values = {"diffuse": torch.zeros(1, count, 7)}
     if kind != "visibility":
         values["matrix"] = torch.zeros(*transfer.matrix.shape[:3], count)
-    with pytest.raises(InputError, match=f"answers to {count} coefficients"):
+    with pytest.raises(InputError, match=f"{count} coefficients a vertex"):
         dataclasses.replace(transfer, **values)
 
 

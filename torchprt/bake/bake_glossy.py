@@ -138,7 +138,9 @@ def bake_vertices(
         signal=signal,
     )
     if isinstance(transfer, VisibilityTransfer):
-        transfer.product_error = product_error(task, solution.arrived.matrix[..., 0], transfer.degree)
+        transfer.product_error = product_error(
+            task, solution.arrived.matrix[..., 0], transfer.degree, wanted.output_order, wanted.projection
+        )
     return transfer
 
 

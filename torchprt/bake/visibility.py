@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -31,20 +32,24 @@ def on_the_fly(
     return (exit_kernel(brdf, nodes, output_order, projection) * weights).to(torch.float32), max(degree, 0)
 
 
-def product_error(task: GlossyJob, visibility: Float[Tensor, "G I"], degree: int) -> float | None:
+def product_error(
+    task: GlossyJob, visibility: Float[Tensor, "G I"], degree: int, output_order: int, projection: Projection
+) -> float | None:
     """Relative RMS of the exit radiance that the products give, against the matrices of the same rays: what truncated
     visibility costs, on some receivers, under white lights."""
     job, brdf, order = task.job, task.glossy.brdfs[0], task.job.order
+    # Coefficients of an orthonormal basis have the norm of the function; others are as near as their Gram matrix.
+    kernel = functools.partial(exit_kernel, brdf, order=output_order, projection=projection)
     if not len(visibility):
         return None
     some = torch.randperm(len(visibility), generator=torch.Generator().manual_seed(job.seed))[:_SAMPLE].sort().values
     directions = hemisphere(job.rays, job.seed)
     receivers = job.receivers[task.glossy.receivers[some]]
     escapes = -job.tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
-    table = exit_kernel(brdf, directions, order) * (2 * math.pi / len(directions))
+    table = kernel(directions) * (2 * math.pi / len(directions))
     exact = (escapes[:, None] * table) @ basis(directions, order)
     nodes, weights = gauss_legendre_hemisphere(degree)
     seen = visibility[some].double() @ hemisphere_basis(nodes, task.recording.output_order).T
-    found = (seen[:, None] * exit_kernel(brdf, nodes, order) * weights) @ basis(nodes, order)
+    found = (seen[:, None] * kernel(nodes) * weights) @ basis(nodes, order)
     size = float(exact.norm())
     return float((found - exact).norm()) / size if size > 0 else 0.0

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.layout import Layout, check_finite, check_layouts
+from torchprt.transfer.layout import Layout, check_finite, check_signal
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
 
@@ -61,11 +61,7 @@ class DiffuseTransfer:
     version: str = ""
 
     def __post_init__(self) -> None:
-        sizes = check_layouts(self)
-        if sizes["C"] not in (1, 3):
-            raise InputError(f"transfer has {sizes['C']} channels: it must have 1 or 3")
-        if round(sizes["N"] ** 0.5) ** 2 != sizes["N"] or sizes["N"] == 0:
-            raise InputError(f"transfer has {sizes['N']} coefficients a vertex: it must be the square of the order")
+        check_signal(self)
 
     @property
     def order(self) -> int:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.diffuse import Transport
-from torchprt.transfer.layout import Layout, check_finite, check_layouts
+from torchprt.transfer.layout import Layout, check_finite, check_signal
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
 
@@ -67,11 +67,7 @@ class _Layers:
     version: str = ""
 
     def __post_init__(self) -> None:
-        sizes = check_layouts(self)
-        if sizes["C"] not in (1, 3):
-            raise InputError(f"transfer has {sizes['C']} channels: it must have 1 or 3")
-        if round(sizes["N"] ** 0.5) ** 2 != sizes["N"] or sizes["N"] == 0:
-            raise InputError(f"transfer answers to {sizes['N']} coefficients: it must be the square of the order")
+        check_signal(self)
 
     @property
     def order(self) -> int:

@@ -59,3 +59,13 @@ def check_finite(transfer: Any) -> None:
         if value.is_floating_point() and not bool(torch.isfinite(value).all()):
             bad = int((~torch.isfinite(value)).sum())
             raise InputError(f"tensor '{name}' of the transfer holds {bad} NaN or infinite values: bake it again")
+
+
+def check_signal(transfer: Any) -> dict[str, int]:
+    """`check_layouts`, and that there are 1 or 3 channels `C` and the square of an order of light coefficients `N`."""
+    sizes = check_layouts(transfer)
+    if sizes["C"] not in (1, 3):
+        raise InputError(f"transfer has {sizes['C']} channels: it must have 1 or 3")
+    if round(sizes["N"] ** 0.5) ** 2 != sizes["N"] or sizes["N"] == 0:
+        raise InputError(f"transfer has {sizes['N']} coefficients a vertex: it must be the square of the order")
+    return sizes
