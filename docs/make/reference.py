@@ -20,7 +20,20 @@ from pathlib import Path
 
 from torch import nn
 
-ROOMS = ("sh", "transfer", "light", "brdf", "trace", "scene", "scene.samples", "shade", "bake", "onnx", "preview", "measure")
+ROOMS = (
+    "sh",
+    "transfer",
+    "light",
+    "brdf",
+    "trace",
+    "scene",
+    "scene.samples",
+    "shade",
+    "bake",
+    "onnx",
+    "preview",
+    "measure",
+)
 PATH = Path(__file__).parents[1] / "reference.md"
 HEADER = """# Reference
 
