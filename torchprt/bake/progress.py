@@ -32,7 +32,11 @@ class Silent:
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
-        return Text("" if speed is None else f"{speed / 1e6:.1f} M/s", style="progress.data.speed")
+        if speed is None:
+            return Text("")
+        # Millions of rays, thousands of receivers.
+        text = f"{speed / 1e6:.1f} M/s" if speed >= 1e5 else f"{speed / 1e3:.1f} k/s"
+        return Text(text, style="progress.data.speed")
 
 
 class Bar:
