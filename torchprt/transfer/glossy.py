@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
@@ -31,7 +32,7 @@ _COMMON = {
 
 
 @dataclass(kw_only=True)
-class _Layers:
+class _Layers(abc.ABC):
     """What all kinds of glossy transfer share: where the receivers are, and their diffuse layer.
 
     - `positions [V, 3]`, `normals [V, 3]`, `faces [F, 3]`, `albedo`: as in `DiffuseTransfer`.
@@ -88,8 +89,9 @@ class _Layers:
         """Bytes of the transfer alone, diffuse and glossy, which is what compression lowers."""
         return sum(value.numel() * value.element_size() for value in (self.diffuse, *self._glossy_tensors()))
 
+    @abc.abstractmethod
     def _glossy_tensors(self) -> tuple[Tensor, ...]:
-        raise NotImplementedError
+        """What the glossy layer is stored in."""
 
     def check(self) -> None:
         """Raises InputError if a tensor holds NaN or infinity, a weight leaves [0, 1], or an index names no vertex."""
