@@ -18,6 +18,7 @@ from .version import VERSION as __version__
 
 if TYPE_CHECKING:
     from . import brdf as brdf
+    from . import compress as compress
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
@@ -28,7 +29,20 @@ if TYPE_CHECKING:
     from . import transfer as transfer
     from .bake import bake as bake
 
-_ROOMS = ("bake", "brdf", "light", "measure", "onnx", "preview", "scene", "sh", "shade", "trace", "transfer")
+_ROOMS = (
+    "bake",
+    "brdf",
+    "compress",
+    "light",
+    "measure",
+    "onnx",
+    "preview",
+    "scene",
+    "sh",
+    "shade",
+    "trace",
+    "transfer",
+)
 _NAMES = {
     "load": "scene",
     "Scene": "scene",

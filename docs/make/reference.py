@@ -25,6 +25,7 @@ ROOMS = (
     "transfer",
     "light",
     "brdf",
+    "compress",
     "trace",
     "scene",
     "scene.samples",

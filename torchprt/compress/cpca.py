@@ -1,0 +1,172 @@
+"""Clustered PCA: a signal as a few weights a point, in the affine subspace of the point's cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor
+
+from torchprt.compress.clusters import PASSES, quantise
+from torchprt.compress.importance import root_of, weighed
+from torchprt.compress.refine import adapt, grow
+from torchprt.compress.signal import check, normalised
+from torchprt.compress.subspaces import Subspaces, fit, groups, one_thread, pieces
+from torchprt.errors import InputError
+
+METHODS = ("iterative", "adaptive", "static", "pca", "vq")
+
+
+@dataclass(frozen=True, eq=False)
+class ClusteredPca:
+    """Points `x_p ~ mean_k + sum_i weights_pi basis_ki`, k the cluster of p, i below the cluster's count.
+
+    - `label [V]`: the cluster of every point.
+    - `mean [K, S]`, `basis [E, S]`: the representatives; those of cluster k are rows `offsets[k]` to `offsets[k + 1]`.
+      PCA vectors are orthonormal (under the importance, if there was one), the most important first.
+    - `weights [V, P]`: P is the largest count; zero from the count of the point's cluster on.
+    - `error [V]`: squared error of every point, float64, of what is stored here; weighed, if there was an importance.
+    """
+
+    label: Int64[Tensor, "V"]
+    mean: Float[Tensor, "K S"]
+    basis: Float[Tensor, "E S"]
+    offsets: Int64[Tensor, "K1"]
+    weights: Float[Tensor, "V P"]
+    error: Float64[Tensor, "V"]
+
+    @property
+    def counts(self) -> Tensor:
+        """PCA vectors of every cluster, `[K]`."""
+        return self.offsets.diff()
+
+    @property
+    def sizes(self) -> Tensor:
+        """Points of every cluster, `[K]`."""
+        return torch.bincount(self.label, minlength=len(self.mean))
+
+    @property
+    def cluster_error(self) -> Tensor:
+        """Squared error of every cluster, `[K]` float64."""
+        return torch.zeros_like(self.mean[:, 0], dtype=torch.float64).index_add_(0, self.label, self.error)
+
+    def padded_basis(self) -> Tensor:
+        """`[K, P, S]`: as many PCA vectors a cluster as the largest count, zero where there are none."""
+        place = torch.arange(self.weights.shape[1], device=self.label.device)
+        real = place < self.counts[:, None]
+        padded = self.basis.new_zeros(*real.shape, self.mean.shape[1])
+        padded[real] = self.basis
+        return padded
+
+    def reconstruct(self) -> Tensor:
+        """The approximation of all points, `[V, S]`, in bounded temporary memory."""
+        basis = self.padded_basis()
+        result = self.mean.new_empty(len(self.label), self.mean.shape[1])
+        for chosen, points, real in groups(self.label, len(self.mean), self.mean.shape[1]):
+            for some, of in pieces(points, real, self.mean.shape[1]):
+                result[some[of]] = torch.baddbmm(self.mean[chosen, None], self.weights[some], basis[chosen])[of]
+        return result
+
+    def bytes(self, *, weight_bits: int = 32, representative_bits: int = 32) -> int:
+        """Stored: a label and as many weights a point as its cluster has vectors, the representatives, the counts.
+
+        The first term of the cost of section 4.1 of Sloan et al. 2003, m_p n', and the second, m_c (n' + 1) n, in
+        bytes; a label takes one byte up to 256 clusters, two up to 65536, else four.
+        """
+        label = 1 if len(self.mean) <= 1 << 8 else 2 if len(self.mean) <= 1 << 16 else 4
+        weights = int((self.sizes * self.counts).sum())
+        representatives = self.mean.numel() + self.basis.numel()
+        bits = weights * weight_bits + representatives * representative_bits
+        return -(-bits // 8) + label * len(self.label) + 2 * len(self.mean)
+
+
+def clustered_pca(
+    data: Float[Tensor, "V S"],
+    clusters: int,
+    components: int,
+    *,
+    method: Literal["iterative", "adaptive", "static", "pca", "vq"] = "iterative",
+    iterations: int = 5,
+    seed: int = 0,
+    importance: Tensor | None = None,
+) -> ClusteredPca:
+    """Every point of `data` as a cluster and `components` weights.
+
+    - "static": vector quantisation, then PCA in every cluster.
+    - "iterative": points go to the cluster that approximates them best, not to the one whose mean is nearest, and
+      PCA follows every such pass. Components are added one by one, with `iterations` passes each and up to four times
+      as many after the last.
+    - "adaptive": then clusters with much error take PCA vectors from those with little. `components` is the mean
+      number of weights a point; no cluster has more than `4 * components + 4`.
+    - "vq": no components. "pca": one cluster. All methods are the same there; the names only say what is meant.
+
+    `importance` `[S]` or `[S, S]`: the squared error of a difference d is `d . (importance * d)` or
+    `d @ importance @ d`. It says how much a coefficient is expected to matter, as the second moments of the light, and
+    must be positive (definite): what never matters would be lost.
+
+    Signals of more than 128 numbers are clustered in their 128 principal axes; means and PCA vectors are then fitted
+    in full. Up to that width "adaptive" is never worse than "iterative" and that never worse than "static" from the
+    same seed. Means, Gram matrices and eigenvectors are computed in float64, the rest in the dtype of `data`. Same
+    seed, same bits, however many threads torch has.
+
+    Raises InputError if there are more clusters than points, fewer than 0 or more than S components, a number that is
+    not finite, or an importance that is not positive.
+    Source: Sloan, Hall, Hart and Snyder 2003, sections 3.3 and 4.
+    """
+    _check(data, clusters, components, method)
+    check(data, clusters, iterations)
+    with torch.no_grad(), one_thread() as threads:
+        root = None if importance is None else root_of(importance, data)
+        metric = data if root is None else weighed(data, root)
+        points = normalised(metric)
+        label = quantise(points, clusters, seed, PASSES, threads)
+        counts = torch.full((clusters,), components, device=label.device)
+        if clusters > 1 and components > 0 and method in ("iterative", "adaptive"):
+            label = grow(points, label, clusters, min(components, points.shape[1]), iterations, threads)
+            if method == "adaptive":
+                label, counts = adapt(points, label, clusters, components, 4 * iterations, threads)
+        spaces = fit(metric, label, clusters, int(counts.max()))
+        spaces.counts = counts
+        return _projected(data, label, spaces, root)
+
+
+def _check(data: Tensor, clusters: int, components: int, method: str) -> None:
+    if method not in METHODS:
+        raise InputError(f"method is '{method}': choose one of {', '.join(METHODS)}")
+    if components < 0:
+        raise InputError(f"components is {components}: it must be 0 (vector quantisation) or more")
+    if components > data.shape[-1]:
+        raise InputError(
+            f"components is {components}, but a point has only {data.shape[-1]} numbers: ask for no more than that"
+        )
+    if method == "vq" and components != 0:
+        raise InputError(f"components is {components}: vector quantisation has none, pass 0 or another method")
+    if method == "pca" and clusters != 1:
+        raise InputError(f"clusters is {clusters}: plain PCA has one, pass 1 or another method")
+
+
+def _projected(data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None) -> ClusteredPca:
+    """Weights and error of every point; representatives back from under the importance."""
+    clusters, rows, width = spaces.basis.shape
+    kept = torch.arange(rows, device=label.device) < spaces.counts[:, None]
+    mean, basis = spaces.mean, spaces.basis * kept[:, :, None]
+    measure = basis
+    if root is not None:
+        mean = torch.linalg.solve(root, mean, left=False)
+        basis = torch.linalg.solve(root, basis.flatten(0, 1), left=False).view_as(basis)
+        measure = measure @ root.mT
+    mean, basis = mean.to(data.dtype), basis.to(data.dtype)
+    weights = data.new_zeros(len(data), rows)
+    error = data.new_zeros(len(data), dtype=torch.float64)
+    for chosen, points, real in groups(label, clusters, width):
+        for some, of in pieces(points, real, width):
+            centred = data[some].double() - mean[chosen, None].double()
+            found = (centred @ measure[chosen].mT).to(data.dtype)
+            residual = torch.baddbmm(centred, found.double(), basis[chosen].double(), alpha=-1)
+            residual = residual if root is None else residual @ root
+            weights[some[of]] = found[of]
+            error[some[of]] = residual.square().sum(2)[of]
+    offsets = torch.cat([spaces.counts.new_zeros(1), spaces.counts.cumsum(0)])
+    return ClusteredPca(label, mean, basis[kept], offsets, weights, error)

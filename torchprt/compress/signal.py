@@ -1,0 +1,60 @@
+"""A signal made ready to be clustered: checked, centred, of unit size, in few dimensions."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchprt.errors import InputError
+
+# Clusters are sought in so many dimensions; what lies outside of the principal ones hardly tells them apart.
+DIMENSIONS = 128
+_SAMPLE = 1 << 14
+_STEP = 1 << 15
+
+
+def check(data: Tensor, clusters: int, iterations: int) -> None:
+    """InputError if `data [V, S]` cannot be put in `clusters`."""
+    if data.dtype not in (torch.float32, torch.float64):
+        raise InputError(f"data is {data.dtype}: pass float32 or float64")
+    if data.ndim != 2 or data.shape[1] == 0:
+        raise InputError(f"data has shape {tuple(data.shape)}: it must be [points, numbers a point], with numbers")
+    if clusters < 1:
+        raise InputError(f"clusters is {clusters}: there must be at least one")
+    if clusters > len(data):
+        raise InputError(f"clusters is {clusters}, but there are only {len(data)} points: ask for fewer")
+    if iterations < 1:
+        raise InputError(f"iterations is {iterations}: there must be at least one")
+    finite = torch.stack([some.isfinite().all() for some in data.split(_STEP)])
+    if not finite.all():
+        row = int((~data.isfinite()).any(1).nonzero()[0, 0])
+        raise InputError(f"data holds a number that is not finite, first in row {row}: mend the transfer it is from")
+
+
+def normalised(data: Tensor) -> Tensor:
+    """`[V, D]`: `data` that was checked, less its mean, of unit size; D = S, or the principal axes if S is larger."""
+    centre = sum((some.double().sum(0) for some in data.split(_STEP)), start=data.new_zeros((), dtype=torch.float64))
+    centre = centre / len(data)
+    # Squares of numbers of any size must neither vanish nor overflow.
+    size = max(float((some.double() - centre).abs().amax()) for some in data.split(_STEP)) or 1.0
+    axes = _principal_axes(data, centre, size) if data.shape[1] > DIMENSIONS else None
+    points = data.new_empty(len(data), data.shape[1] if axes is None else axes.shape[1])
+    for some, out in zip(data.split(_STEP), points.split(_STEP), strict=True):
+        centred = (some.double() - centre) / size
+        out.copy_(centred if axes is None else (centred.to(data.dtype) @ axes))
+    return points
+
+
+def _principal_axes(data: Tensor, centre: Tensor, size: float) -> Tensor:
+    """`[S, DIMENSIONS]` orthonormal, from evenly chosen rows, by block power iteration from a fixed random start.
+
+    Halko, Martinsson and Tropp 2011, algorithm 4.4. Only clusters are sought in these axes: no figure depends on how
+    exact they are.
+    """
+    some = data[:: -(-len(data) // _SAMPLE)]
+    some = ((some.double() - centre) / size).to(data.dtype)
+    generator = torch.Generator().manual_seed(0)
+    axes = torch.randn(data.shape[1], DIMENSIONS, generator=generator, dtype=torch.float64).to(some)
+    for _ in range(4):
+        axes = torch.linalg.qr((some.mT @ (some @ axes)).double()).Q.to(some)
+    return axes
