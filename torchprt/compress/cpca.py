@@ -129,7 +129,7 @@ def clustered_pca(
                 label, counts = adapt(points, label, clusters, components, 4 * iterations, threads)
         spaces = fit(metric, label, clusters, int(counts.max()))
         spaces.counts = counts
-        return _projected(data, label, spaces, root)
+        return project(data, label, spaces, root)
 
 
 def _check(data: Tensor, clusters: int, components: int, method: str) -> None:
@@ -147,7 +147,7 @@ def _check(data: Tensor, clusters: int, components: int, method: str) -> None:
         raise InputError(f"clusters is {clusters}: plain PCA has one, pass 1 or another method")
 
 
-def _projected(data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None) -> ClusteredPca:
+def project(data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None = None) -> ClusteredPca:
     """Weights and error of every point; representatives back from under the importance."""
     clusters, rows, width = spaces.basis.shape
     kept = torch.arange(rows, device=label.device) < spaces.counts[:, None]
