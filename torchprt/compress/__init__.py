@@ -5,15 +5,23 @@ from .coherence import make_coherent as make_coherent
 from .coherence import overdraw as overdraw
 from .cpca import ClusteredPca as ClusteredPca
 from .cpca import clustered_pca as clustered_pca
+from .quantise import QuantisedPca as QuantisedPca
+from .quantise import quantise as quantise
 from .superclusters import cluster_order as cluster_order
 from .superclusters import superclusters as superclusters
+from .transfer import compress as compress
+from .transfer import decompress as decompress
 
 __all__ = [
     "ClusteredPca",
+    "QuantisedPca",
     "cluster_order",
     "clustered_pca",
+    "compress",
+    "decompress",
     "make_coherent",
     "overdraw",
+    "quantise",
     "superclusters",
     "vector_quantise",
 ]

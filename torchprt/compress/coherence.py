@@ -64,11 +64,7 @@ def make_coherent(
     check(data, 1, 1)
     if not budget >= 0:
         raise InputError(f"budget is {budget}: it must be 0 or more, as 0.05 for 5 % more error")
-    if packed.label.shape != data.shape[:1] or packed.mean.shape[1:] != data.shape[1:]:
-        raise InputError(
-            f"packed is of {len(packed.label)} points of {packed.mean.shape[1]} numbers, but data has shape "
-            f"{tuple(data.shape)}: pass the data that it was made from"
-        )
+    packed.check_data(data)
     with torch.no_grad(), one_thread():
         root = None if importance is None else root_of(importance, data)
         metric = data if root is None else weighed(data, root)

@@ -60,14 +60,24 @@ class ClusteredPca:
         padded[real] = self.basis
         return padded
 
-    def reconstruct(self) -> Tensor:
-        """The approximation of all points, `[V, S]`, in bounded temporary memory."""
+    def reconstruct(self, points: Int64[Tensor, "n"] | None = None) -> Tensor:
+        """The approximation of all points, `[V, S]`, or of some, in bounded temporary memory."""
         basis = self.padded_basis()
-        result = self.mean.new_empty(len(self.label), self.mean.shape[1])
-        for chosen, points, real in groups(self.label, len(self.mean), self.mean.shape[1]):
-            for some, of in pieces(points, real, self.mean.shape[1]):
-                result[some[of]] = torch.baddbmm(self.mean[chosen, None], self.weights[some], basis[chosen])[of]
+        label = self.label if points is None else self.label[points]
+        weights = self.weights if points is None else self.weights[points]
+        result = self.mean.new_empty(len(label), self.mean.shape[1])
+        for chosen, some, real in groups(label, len(self.mean), self.mean.shape[1]):
+            for rows, of in pieces(some, real, self.mean.shape[1]):
+                result[rows[of]] = torch.baddbmm(self.mean[chosen, None], weights[rows], basis[chosen])[of]
         return result
+
+    def check_data(self, data: Tensor) -> None:
+        """InputError if this cannot have been made from `data`."""
+        if self.label.shape != data.shape[:1] or self.mean.shape[1:] != data.shape[1:]:
+            raise InputError(
+                f"packed is of {len(self.label)} points of {self.mean.shape[1]} numbers, but data has shape "
+                f"{tuple(data.shape)}: pass the data that it was made from"
+            )
 
     def bytes(self, *, weight_bits: int = 32, representative_bits: int = 32) -> int:
         """Stored: a label and as many weights a point as its cluster has vectors, the representatives, the counts.
