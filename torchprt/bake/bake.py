@@ -38,7 +38,7 @@ from torchprt.errors import InputError
 from torchprt.scene import Geometry, Points, Scene
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
-from torchprt.transfer import DiffuseTransfer, Transfer
+from torchprt.transfer import BakedTransfer, DiffuseTransfer
 from torchprt.version import VERSION
 
 
@@ -60,7 +60,7 @@ def bake(
     projection: Projection = "optimal",
     factors: int | float | None = None,
     visibility_order: int | None = None,
-) -> Transfer:
+) -> BakedTransfer:
     """Transfer of a scene: `DiffuseTransfer`, or where a material is glossy one of the kinds of glossy transfer.
 
     - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
@@ -128,7 +128,7 @@ def bake(
             report = stack.enter_context(Bar())
         workers = stack.enter_context(Workers(threads or os.cpu_count() or 1))
         store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
-        baked: Transfer
+        baked: BakedTransfer
         if is_glossy and receivers is None:
             baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, store, workers, report)
         else:

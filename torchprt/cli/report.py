@@ -25,30 +25,47 @@ def triple(values: Tensor) -> str:
 
 def describe(transfer: Transfer) -> str:
     """Kind, size and Monte Carlo error of a transfer in a line."""
-    from torchprt.transfer import DiffuseTransfer
+    from torchprt.transfer.kinds import DIFFUSE
 
     parts = [transfer.kind, transfer.transport]
     if transfer.bounces:
         parts.append(f"{transfer.bounces} {'bounce' if transfer.bounces == 1 else 'bounces'}")
     parts.append(f"order {transfer.order}")
-    stored = transfer.transfer if isinstance(transfer, DiffuseTransfer) else transfer.diffuse
-    if not isinstance(transfer, DiffuseTransfer):
+    if not isinstance(transfer, DIFFUSE):
         parts.append(_rows(transfer))
     parts += ["3 channels" if transfer.channels == 3 else "1 channel", f"{transfer.vertices} vertices"]
-    if not isinstance(transfer, DiffuseTransfer):
+    if not isinstance(transfer, DIFFUSE):
         parts[-1] += f" ({len(transfer.glossy)} glossy)"
-    parts.append(f"{transfer.bytes / 2**20:.1f} MB of {str(stored.dtype).removeprefix('torch.')}")
+    parts.append(f"{transfer.bytes / 2**20:.1f} MB of {str(_stored(transfer).dtype).removeprefix('torch.')}")
     if transfer.error is not None and transfer.signal:
         parts.append(f"error {transfer.error / transfer.signal:.2%} (RMS, Monte Carlo estimate)")
     return ", ".join(parts)
 
 
+def _stored(transfer: Any) -> Tensor:
+    """What most of the bytes are."""
+    names = ("transfer", "matrix", "weights", "visibility")
+    return next(getattr(transfer, name) for name in names if hasattr(transfer, name))
+
+
 def details(transfer: Transfer) -> list[str]:
     """Lines about the surfaces of a transfer: albedo, materials, and how well its functions of the eye hold them."""
-    from torchprt.transfer import DiffuseTransfer, FactoredTransfer, IncidentTransfer, VisibilityTransfer
+    from torchprt.transfer import (
+        ClusteredGlossyTransfer,
+        ClusteredTransfer,
+        FactoredTransfer,
+        IncidentTransfer,
+        VisibilityTransfer,
+    )
+    from torchprt.transfer.kinds import DIFFUSE
 
     lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces, albedo {_weight(transfer.albedo)}"]
-    if isinstance(transfer, DiffuseTransfer):
+    if isinstance(transfer, ClusteredTransfer | ClusteredGlossyTransfer):
+        lines.append(
+            f"{len(transfer.mean)} clusters ({transfer.method}), {len(transfer.basis) / len(transfer.mean):.3g} PCA "
+            f"vectors each, compression error {transfer.compression_error or 0:.2%} (relative RMS)"
+        )
+    if isinstance(transfer, DIFFUSE):
         return lines
     names = ", ".join(transfer.materials) or "none"
     lines.append(f"materials {names}, specular {_weight(transfer.specular)}")

@@ -191,6 +191,31 @@ def shade(
 
 
 @app.command()
+def compress(
+    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
+    output: Output,
+    clusters: Annotated[int, typer.Option(min=1, help="How many groups of vertices.")] = 256,
+    components: Annotated[int, typer.Option(min=0, help="Weights a vertex.")] = 8,
+    method: Annotated[str, typer.Option(help="iterative, adaptive, static, pca or vq.")] = "iterative",
+    seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
+) -> None:
+    """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix."""
+    import time
+
+    import torchprt as prt
+
+    check_writable(output, (".safetensors",))
+    chosen = options.choice(method, "--method", ("iterative", "adaptive", "static", "pca", "vq"))
+    loaded = prt.load_transfer(transfer)
+    start = time.perf_counter()
+    packed = prt.compress.compress(loaded, clusters=clusters, components=components, method=chosen, seed=seed)
+    prt.save_transfer(packed, output)
+    say(f"{output}: {describe(packed)}, compressed in {time.perf_counter() - start:.1f} s")
+    say(details(packed)[1])
+    say(f"{loaded.bytes / packed.bytes:.1f} times smaller")
+
+
+@app.command()
 def light(
     image: Annotated[Path, typer.Argument(help="Latitude-longitude environment: .exr .hdr .png .jpg .tif")],
     output: Annotated[Path, typer.Option("-o", "--output", help=".npy of order^2 x 3 coefficients.")],
@@ -233,7 +258,7 @@ def export(
     if kind == "direction" and place is not None:
         options.direction(fix_eye or "", "--fix-eye")
     loaded = prt.load_transfer(transfer)
-    if isinstance(loaded, prt.DiffuseTransfer):
+    if isinstance(loaded, prt.transfer.kinds.DIFFUSE):
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
@@ -304,9 +329,9 @@ def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None)
     """The eye that `transfer` is shaded for: the one given, or that of the picture, which is told."""
     import torch
 
-    from torchprt.transfer import DiffuseTransfer
+    from torchprt.transfer.kinds import DIFFUSE
 
-    if isinstance(transfer, DiffuseTransfer):
+    if isinstance(transfer, DIFFUSE):
         if given:
             raise InputError("--eye and --toward are for glossy transfer: this one looks the same from everywhere")
         return given

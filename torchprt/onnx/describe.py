@@ -13,7 +13,7 @@ from google.protobuf.message import DecodeError
 
 from torchprt.errors import InputError
 from torchprt.onnx.operators import count_operators
-from torchprt.transfer import DiffuseTransfer, IncidentTransfer, Transfer
+from torchprt.transfer import BakedTransfer, DiffuseTransfer, IncidentTransfer
 from torchprt.transfer.file import CONVENTIONS
 from torchprt.version import VERSION
 
@@ -39,7 +39,7 @@ KEYS = (
 )  # fmt: skip
 
 
-def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
+def metadata(transfer: BakedTransfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
     `about`: what the arguments of the export add. Glossy transfer adds the metadata of its kind, `glossy` (how many

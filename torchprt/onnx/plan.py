@@ -15,7 +15,7 @@ from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph, ViewTransfer
 from torchprt.onnx.graph import Source, make_graph
 from torchprt.onnx.parity import Module
 from torchprt.shade import DiffuseShader, EnvironmentShader, FixedEyeShader, FixedLightShader, ViewShader, shader
-from torchprt.transfer import DiffuseTransfer, IncidentTransfer, Transfer, VisibilityTransfer
+from torchprt.transfer import BakedTransfer, DiffuseTransfer, IncidentTransfer, VisibilityTransfer
 
 Exponent: TypeAlias = float | int | Tensor | None
 
@@ -38,7 +38,7 @@ class Plan:
 
 
 def plan(
-    transfer: Transfer,
+    transfer: BakedTransfer,
     *,
     source: Source,
     size: int,

@@ -1,5 +1,7 @@
 """The run time: an `nn.Module` per kind of transfer. Needs torch alone."""
 
+from .clustered import ClusteredGlossyShader as ClusteredGlossyShader
+from .clustered import ClusteredShader as ClusteredShader
 from .diffuse import DiffuseShader as DiffuseShader
 from .display import display as display
 from .display import filmic as filmic
@@ -17,6 +19,8 @@ from .view import ViewShader as ViewShader
 from .visibility import VisibilityShader as VisibilityShader
 
 __all__ = [
+    "ClusteredGlossyShader",
+    "ClusteredShader",
     "DiffuseShader",
     "EnvironmentShader",
     "FactoredShader",

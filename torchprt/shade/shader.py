@@ -10,11 +10,14 @@ from torch import Tensor
 
 from torchprt.brdf import Brdf
 from torchprt.errors import InputError
+from torchprt.shade.clustered import ClusteredGlossyShader, ClusteredShader
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.glossy import FactoredShader, GlossyShader
 from torchprt.shade.incident import IncidentShader
 from torchprt.shade.visibility import VisibilityShader
 from torchprt.transfer import (
+    ClusteredGlossyTransfer,
+    ClusteredTransfer,
     DiffuseTransfer,
     FactoredTransfer,
     GlossyTransfer,
@@ -23,7 +26,9 @@ from torchprt.transfer import (
     VisibilityTransfer,
 )
 
-Shader: TypeAlias = DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader
+Shader: TypeAlias = (
+    DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader | ClusteredGlossyShader
+)
 
 
 @overload
@@ -51,6 +56,14 @@ def shader(
 def shader(
     transfer: VisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
 ) -> VisibilityShader: ...
+@overload
+def shader(
+    transfer: ClusteredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> ClusteredShader: ...
+@overload
+def shader(
+    transfer: ClusteredGlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> ClusteredGlossyShader: ...
 @overload
 def shader(
     transfer: Transfer,
@@ -86,4 +99,8 @@ def shader(
         return FactoredShader(transfer, dtype=dtype, learn=learn)
     if isinstance(transfer, VisibilityTransfer):
         return VisibilityShader(transfer, dtype=dtype, learn=learn)
+    if isinstance(transfer, ClusteredTransfer):
+        return ClusteredShader(transfer, dtype=dtype, learn=learn)
+    if isinstance(transfer, ClusteredGlossyTransfer):
+        return ClusteredGlossyShader(transfer, dtype=dtype, learn=learn)
     return DiffuseShader(transfer, dtype=dtype, learn=learn)

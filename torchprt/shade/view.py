@@ -15,9 +15,16 @@ from torchprt.sh import Rotation
 from torchprt.shade.diffuse import DiffuseShader, turned_light
 from torchprt.shade.eye import local_frames, local_views, toward_eye
 from torchprt.shade.fixed import FixedEyeShader, FixedLightShader
-from torchprt.transfer import DiffuseTransfer, FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transfer import (
+    ClusteredGlossyTransfer,
+    DiffuseTransfer,
+    FactoredTransfer,
+    GlossyTransfer,
+    IncidentTransfer,
+    VisibilityTransfer,
+)
 
-ViewTransfer = GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
+ViewTransfer = GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer | ClusteredGlossyTransfer
 
 
 class ViewShader(nn.Module, abc.ABC):

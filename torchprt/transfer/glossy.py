@@ -19,7 +19,7 @@ Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
 _REAL = (torch.float32, torch.float64)
 _WHOLE = (torch.int32, torch.int64)
 
-_COMMON = {
+GLOSSY_LAYOUTS = {
     "positions": Layout(("V", "3"), _REAL),
     "normals": Layout(("V", "3"), _REAL),
     "faces": Layout(("F", "3"), _WHOLE),
@@ -32,7 +32,7 @@ _COMMON = {
 
 
 @dataclass(kw_only=True)
-class _Layers(abc.ABC):
+class Layers(abc.ABC):
     """What all kinds of glossy transfer share: where the receivers are, and their diffuse layer.
 
     - `positions [V, 3]`, `normals [V, 3]`, `faces [F, 3]`, `albedo`: as in `DiffuseTransfer`.
@@ -114,7 +114,7 @@ class _Layers(abc.ABC):
 
 
 @dataclass(kw_only=True)
-class GlossyTransfer(_Layers):
+class GlossyTransfer(Layers):
     """Exit-radiance matrices of glossy receivers, with the BRDF baked in.
 
     The glossy layer of receiver `glossy[g]` sends `specular * sum_i e_i(v) sum_j matrix[:, g, i, j] l_j` toward the
@@ -135,7 +135,7 @@ class GlossyTransfer(_Layers):
     """
 
     kind: ClassVar[str] = "glossy"
-    layouts: ClassVar[dict[str, Layout]] = _COMMON | {"matrix": Layout(("C", "G", "M", "N"))}
+    layouts: ClassVar[dict[str, Layout]] = GLOSSY_LAYOUTS | {"matrix": Layout(("C", "G", "M", "N"))}
 
     matrix: Tensor
     output_order: int
@@ -159,7 +159,7 @@ class GlossyTransfer(_Layers):
 
 
 @dataclass(kw_only=True)
-class FactoredTransfer(_Layers):
+class FactoredTransfer(Layers):
     """Exit-radiance matrices of few rows: the BRDF is factored into functions of the eye and of the light.
 
     As `GlossyTransfer`, with `u_i(v)` in place of e_i: `factors [M, H, H]` holds them at the texels of an equal-area
@@ -172,7 +172,7 @@ class FactoredTransfer(_Layers):
     """
 
     kind: ClassVar[str] = "factored"
-    layouts: ClassVar[dict[str, Layout]] = _COMMON | {
+    layouts: ClassVar[dict[str, Layout]] = GLOSSY_LAYOUTS | {
         "matrix": Layout(("C", "G", "M", "N")),
         "factors": Layout(("M", "H", "H"), _REAL),
     }
@@ -194,7 +194,7 @@ class FactoredTransfer(_Layers):
 
 
 @dataclass(kw_only=True)
-class IncidentTransfer(_Layers):
+class IncidentTransfer(Layers):
     """Source to transferred incident radiance: the BRDF is chosen at run time.
 
     Under a light `l [N, 3]` of the world the radiance that arrives at receiver `glossy[g]` from the local direction s,
@@ -208,7 +208,7 @@ class IncidentTransfer(_Layers):
     """
 
     kind: ClassVar[str] = "incident"
-    layouts: ClassVar[dict[str, Layout]] = _COMMON | {"matrix": Layout(("C", "G", "M", "N"))}
+    layouts: ClassVar[dict[str, Layout]] = GLOSSY_LAYOUTS | {"matrix": Layout(("C", "G", "M", "N"))}
 
     matrix: Tensor
 
@@ -236,7 +236,7 @@ class IncidentTransfer(_Layers):
 
 
 @dataclass(kw_only=True)
-class VisibilityTransfer(_Layers):
+class VisibilityTransfer(Layers):
     """Visibility alone, multiplied with the light at run time: a vector a receiver instead of a matrix.
 
     The visibility of receiver `glossy[g]` in the local direction s is about `sum_k visibility[k, g] h_k(s)`,
@@ -253,7 +253,7 @@ class VisibilityTransfer(_Layers):
     """
 
     kind: ClassVar[str] = "visibility"
-    layouts: ClassVar[dict[str, Layout]] = _COMMON | {
+    layouts: ClassVar[dict[str, Layout]] = GLOSSY_LAYOUTS | {
         "visibility": Layout(("I", "G")),
         "kernel": Layout(("M", "D"), _REAL),
     }

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+from torchprt.transfer.clustered import ClusteredGlossyTransfer, ClusteredTransfer
 from torchprt.transfer.diffuse import DiffuseTransfer
 from torchprt.transfer.glossy import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
 
-Transfer: TypeAlias = DiffuseTransfer | GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
+BakedTransfer: TypeAlias = DiffuseTransfer | GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
+Transfer: TypeAlias = BakedTransfer | ClusteredTransfer | ClusteredGlossyTransfer
 
 KINDS: dict[str, type[Transfer]] = {
     kind.kind: kind
-    for kind in (DiffuseTransfer, GlossyTransfer, FactoredTransfer, IncidentTransfer, VisibilityTransfer)
+    for kind in (
+        DiffuseTransfer,
+        GlossyTransfer,
+        FactoredTransfer,
+        IncidentTransfer,
+        VisibilityTransfer,
+        ClusteredTransfer,
+        ClusteredGlossyTransfer,
+    )
 }
+
+# What looks the same from everywhere.
+DIFFUSE = (DiffuseTransfer, ClusteredTransfer)
