@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt.compress.clusters import PASSES, quantise
 from torchprt.compress.importance import root_of, weighed
-from torchprt.compress.refine import adapt, grow
+from torchprt.compress.refine import adapt, grow, surplus
 from torchprt.compress.signal import check, normalised
 from torchprt.compress.subspaces import Subspaces, fit, groups, one_thread, pieces
 from torchprt.errors import InputError
@@ -98,7 +98,7 @@ def clustered_pca(
     components: int,
     *,
     method: Literal["iterative", "adaptive", "static", "pca", "vq"] = "iterative",
-    iterations: int = 5,
+    iterations: int = 2,
     seed: int = 0,
     importance: Tensor | None = None,
 ) -> ClusteredPca:
@@ -106,8 +106,8 @@ def clustered_pca(
 
     - "static": vector quantisation, then PCA in every cluster.
     - "iterative": points go to the cluster that approximates them best, not to the one whose mean is nearest, and
-      PCA follows every such pass. Components are added one by one, with `iterations` passes each and up to four times
-      as many after the last.
+      PCA follows every such pass. Components are added one by one, with `iterations` passes each and up to ten times
+      as many at the end. There are twice as many clusters at first; those that are missed least are dropped.
     - "adaptive": then clusters with much error take PCA vectors from those with little. `components` is the mean
       number of weights a point; no cluster has more than `4 * components + 4`.
     - "vq": no components. "pca": one cluster. All methods are the same there; the names only say what is meant.
@@ -117,9 +117,9 @@ def clustered_pca(
     must be positive (definite): what never matters would be lost.
 
     Signals of more than 128 numbers are clustered in their 128 principal axes; means and PCA vectors are then fitted
-    in full. Up to that width "adaptive" is never worse than "iterative" and that never worse than "static" from the
-    same seed. Means, Gram matrices and eigenvectors are computed in float64, the rest in the dtype of `data`. Same
-    seed, same bits, however many threads torch has.
+    in full. Up to that width "adaptive" is never worse than "iterative" from the same seed. Means, Gram matrices and
+    eigenvectors are computed in float64, the rest in the dtype of `data`. Same seed, same bits, however many threads
+    torch has.
 
     Raises InputError if there are more clusters than points, fewer than 0 or more than S components, a number that is
     not finite, or an importance that is not positive.
@@ -131,12 +131,14 @@ def clustered_pca(
         root = None if importance is None else root_of(importance, data)
         metric = data if root is None else weighed(data, root)
         points = normalised(metric)
-        label = quantise(points, clusters, seed, PASSES, threads)
+        refined = clusters > 1 and components > 0 and method in ("iterative", "adaptive")
+        started = surplus(len(points), clusters) if refined else clusters
+        label = quantise(points, started, seed, PASSES, threads)
         counts = torch.full((clusters,), components, device=label.device)
-        if clusters > 1 and components > 0 and method in ("iterative", "adaptive"):
+        if refined:
             label = grow(points, label, clusters, min(components, points.shape[1]), iterations, threads)
             if method == "adaptive":
-                label, counts = adapt(points, label, clusters, components, 4 * iterations, threads)
+                label, counts = adapt(points, label, clusters, components, 6 * iterations, threads)
         spaces = fit(metric, label, clusters, int(counts.max()))
         spaces.counts = counts
         return project(data, label, spaces, root)

@@ -135,7 +135,22 @@ def _centred(data: Tensor, mean: Tensor, points: Tensor, real: Tensor) -> Tensor
 
 
 def classify(data: Tensor, spaces: Subspaces, threads: int = 1) -> tuple[Tensor, Tensor]:
-    """The subspace nearest to every point, `[V]`, and the squared distance `[V]` to the rounding of `data`.
+    """The subspace nearest to every point, `[V]`, and the squared distance `[V]` to the rounding of `data`."""
+    label, error = _nearest(data, spaces, threads, second=False)
+    return label, error
+
+
+def runners_up(data: Tensor, spaces: Subspaces, threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
+    """The nearest subspace of every point, the one that is nearest without it, and how much farther that is, squared.
+
+    There must be two subspaces.
+    """
+    label, error, other, further = _nearest(data, spaces, threads, second=True)
+    return label, other, (further - error).clamp_(min=0)
+
+
+def _nearest(data: Tensor, spaces: Subspaces, threads: int, second: bool) -> list[Tensor]:
+    """Nearest and squared distance; and of the second nearest the same, if asked for.
 
     |x - x0|^2 - sum_i ((x - x0) . x_i)^2 of all clusters is one product with `[x0 | x_1 | x_2 ...]`, components
     first; clusters with more components come first, so that every component is a run of rows.
@@ -150,25 +165,27 @@ def classify(data: Tensor, spaces: Subspaces, threads: int = 1) -> tuple[Tensor,
     offset = torch.cat(constants).to(data.dtype)[:, None]
     columns = max(16, min(256, (1 << 19) // len(product)))
 
-    def piece(rows: Tensor) -> tuple[Tensor, Tensor]:
-        label = torch.empty(len(rows), dtype=torch.int64, device=data.device)
-        error = rows.square().sum(1)
-        for start in range(0, len(rows), columns):
-            some = slice(start, min(start + columns, len(rows)))
-            result = torch.addmm(offset, product, rows[some].mT)
+    def piece(rows: Tensor) -> list[Tensor]:
+        found = []
+        for some in rows.split(columns):
+            result = torch.addmm(offset, product, some.mT)
             score, first = result[:clusters], clusters
             for run in runs:
                 along = result[first : first + run]
                 score[:run].addcmul_(along, along, value=-1)
                 first += run
-            least, label[some] = score.min(0)
-            error[some] += least
-        return label, error.clamp_(min=0)
+            squares = some.square().sum(1)
+            least, label = score.min(0)
+            nearest = [ranked[label], (least + squares).clamp_(min=0)]
+            if second:
+                further, other = score.scatter_(0, label[None], float("inf")).min(0)
+                nearest += [ranked[other], (further + squares).clamp_(min=0)]
+            found.append(nearest)
+        return [torch.cat(parts) for parts in zip(*found, strict=True)]
 
     with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(piece, data.split(_PIECE)))
-    label, error = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return ranked[label], error
+        pieces_found = list(pool.map(piece, data.split(_PIECE)))
+    return [torch.cat(parts) for parts in zip(*pieces_found, strict=True)]
 
 
 def fill_empty(label: Tensor, error: Tensor, clusters: int) -> Tensor:
