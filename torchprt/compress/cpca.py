@@ -17,6 +17,8 @@ from torchprt.compress.subspaces import Subspaces, fit, groups, one_thread, piec
 from torchprt.errors import InputError
 
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
+# Passes of vector quantisation where others follow.
+_START = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ def clustered_pca(
     components: int,
     *,
     method: Literal["iterative", "adaptive", "static", "pca", "vq"] = "iterative",
-    iterations: int = 2,
+    iterations: int = 1,
     seed: int = 0,
     importance: Tensor | None = None,
 ) -> ClusteredPca:
@@ -106,8 +108,8 @@ def clustered_pca(
 
     - "static": vector quantisation, then PCA in every cluster.
     - "iterative": points go to the cluster that approximates them best, not to the one whose mean is nearest, and
-      PCA follows every such pass. Components are added one by one, with `iterations` passes each and up to ten times
-      as many at the end. There are twice as many clusters at first; those that are missed least are dropped.
+      PCA follows every such pass. Components are added one by one, with `iterations` passes each, and up to ten times
+      as many follow at the end. There are twice as many clusters at first; those that are missed least are dropped.
     - "adaptive": then clusters with much error take PCA vectors from those with little. `components` is the mean
       number of weights a point; no cluster has more than `4 * components + 4`.
     - "vq": no components. "pca": one cluster. All methods are the same there; the names only say what is meant.
@@ -133,12 +135,12 @@ def clustered_pca(
         points = normalised(metric)
         refined = clusters > 1 and components > 0 and method in ("iterative", "adaptive")
         started = surplus(len(points), clusters) if refined else clusters
-        label = quantise(points, started, seed, PASSES, threads)
+        label = quantise(points, started, seed, _START if refined else PASSES, threads)
         counts = torch.full((clusters,), components, device=label.device)
         if refined:
             label = grow(points, label, clusters, min(components, points.shape[1]), iterations, threads)
             if method == "adaptive":
-                label, counts = adapt(points, label, clusters, components, 6 * iterations, threads)
+                label, counts = adapt(points, label, clusters, components, 12 * iterations, threads)
         spaces = fit(metric, label, clusters, int(counts.max()))
         spaces.counts = counts
         return project(data, label, spaces, root)

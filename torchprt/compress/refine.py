@@ -16,7 +16,7 @@ _STEPS = 4
 _STEP_PASSES = 2
 _LAST = 10
 # Less gained by a pass, relative: no further pass.
-_SETTLED = 1e-4
+_SETTLED = 1e-3
 
 
 def surplus(points: int, clusters: int) -> int:
