@@ -28,7 +28,7 @@ def compress(
     clusters: int = 256,
     components: int = 8,
     method: Method = "iterative",
-    iterations: int = 5,
+    iterations: int = 1,
     seed: int = 0,
     importance: Tensor | None = None,
 ) -> ClusteredTransfer | ClusteredGlossyTransfer:
