@@ -81,12 +81,15 @@ def fields(kind: type) -> list[tuple[str, str]]:
             below = after.value if isinstance(after, ast.Expr) else None
             comment = below.value if isinstance(below, ast.Constant) and isinstance(below.value, str) else ""
             text = ast.unparse(line).replace("'", '"')
-            found.append((re.sub(r"field\(default_factory=(\w+)\)", r"\1()", text), inspect.cleandoc(comment)))
+            found.append((re.sub(r"(?:dataclasses\.)?field\(default_factory=(\w+)\)", r"\1()", text), inspect.cleandoc(comment)))
     return found
 
 
 def constructor(kind: type) -> str:
-    arguments = [text for text, _ in fields(kind)]
+    inherited = [base for base in kind.__mro__ if dataclasses.is_dataclass(base)]
+    arguments = [text for base in inherited for text, _ in fields(base)]
+    # Those without a default come first, as they are asked for.
+    arguments.sort(key=lambda text: "=" in text)
     line = f"{kind.__name__}({', '.join(arguments)})"
     return line if len(line) <= 110 else f"{kind.__name__}(\n    " + ",\n    ".join(arguments) + ",\n)"
 
@@ -112,7 +115,12 @@ def constant_comment(module: types.ModuleType, name: str) -> str:
 
 def methods(kind: type) -> list[str]:
     entries = []
-    for name, member in vars(kind).items():
+    # A dataclass is described whole; what a module inherits is described at its base.
+    bases = (
+        [base for base in kind.__mro__ if dataclasses.is_dataclass(base)] if dataclasses.is_dataclass(kind) else [kind]
+    )
+    members = {name: member for base in reversed(bases) for name, member in vars(base).items()}
+    for name, member in members.items():
         if name.startswith("_") or name in ("extra_repr",):
             continue
         if isinstance(member, property):

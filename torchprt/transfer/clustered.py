@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.diffuse import Transport
 from torchprt.transfer.glossy import GLOSSY_LAYOUTS, Layers, Projection
 from torchprt.transfer.layout import Layout, check_finite, check_signal
+from torchprt.transfer.provenance import Provenance
 
 _LABELS = (torch.uint8, torch.int16, torch.int32, torch.int64)
 _WHOLE = (torch.int32, torch.int64)
 
 
 @dataclass
-class ClusteredTransfer:
+class ClusteredTransfer(Provenance):
     """Diffuse transfer vectors by clustered PCA.
 
     The vector of receiver v is `mean[k] + sum_i weights[v, i] basis[offsets[k] + i]`, k = `label[v]`, i below the count
@@ -61,13 +61,6 @@ class ClusteredTransfer:
     faces: Tensor
     method: str = "iterative"
     compression_error: float | None = None
-    transport: Transport = "shadowed"
-    bounces: int = 0
-    rays: int = 0
-    seed: int = 0
-    error: float | None = None
-    signal: float | None = None
-    version: str = ""
 
     def __post_init__(self) -> None:
         check_signal(self)

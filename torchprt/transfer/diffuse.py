@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layout import Layout, check_finite, check_signal
-
-Transport = Literal["unshadowed", "shadowed", "interreflected"]
+from torchprt.transfer.provenance import Provenance
 
 
 @dataclass
-class DiffuseTransfer:
+class DiffuseTransfer(Provenance):
     """Diffuse transfer vectors of `V` receivers, in the world frame.
 
     Exit radiance under a light `l [N, 3]` is `albedo * sum_i transfer[:, i] l_i`: the vectors carry the `1/pi`
@@ -52,13 +51,6 @@ class DiffuseTransfer:
     positions: Tensor
     normals: Tensor
     faces: Tensor
-    transport: Transport = "shadowed"
-    bounces: int = 0
-    rays: int = 0
-    seed: int = 0
-    error: float | None = None
-    signal: float | None = None
-    version: str = ""
 
     def __post_init__(self) -> None:
         check_signal(self)

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.diffuse import Transport
 from torchprt.transfer.layout import Layout, check_finite, check_signal
+from torchprt.transfer.provenance import Provenance
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
 
@@ -32,7 +32,7 @@ GLOSSY_LAYOUTS = {
 
 
 @dataclass(kw_only=True)
-class Layers(abc.ABC):
+class Layers(Provenance, abc.ABC):
     """What all kinds of glossy transfer share: where the receivers are, and their diffuse layer.
 
     - `positions [V, 3]`, `normals [V, 3]`, `faces [F, 3]`, `albedo`: as in `DiffuseTransfer`.
@@ -59,13 +59,6 @@ class Layers(abc.ABC):
     specular: Tensor
     diffuse: Tensor
     materials: list[str] = dataclasses.field(default_factory=list)
-    transport: Transport = "shadowed"
-    bounces: int = 0
-    rays: int = 0
-    seed: int = 0
-    error: float | None = None
-    signal: float | None = None
-    version: str = ""
 
     def __post_init__(self) -> None:
         check_signal(self)
