@@ -81,7 +81,8 @@ def fields(kind: type) -> list[tuple[str, str]]:
             below = after.value if isinstance(after, ast.Expr) else None
             comment = below.value if isinstance(below, ast.Constant) and isinstance(below.value, str) else ""
             text = ast.unparse(line).replace("'", '"')
-            found.append((re.sub(r"(?:dataclasses\.)?field\(default_factory=(\w+)\)", r"\1()", text), inspect.cleandoc(comment)))
+            text = re.sub(r"(?:dataclasses\.)?field\(default_factory=(\w+)\)", r"\1()", text)
+            found.append((text, inspect.cleandoc(comment)))
     return found
 
 
