@@ -12,6 +12,8 @@ from .glossy import IncidentTransfer as IncidentTransfer
 from .glossy import VisibilityTransfer as VisibilityTransfer
 from .kinds import BakedTransfer as BakedTransfer
 from .kinds import Transfer as Transfer
+from .zonal import ZonalTransfer as ZonalTransfer
+from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
 
 __all__ = [
     "FORMAT",
@@ -24,6 +26,8 @@ __all__ = [
     "IncidentTransfer",
     "Transfer",
     "VisibilityTransfer",
+    "ZonalFactoredTransfer",
+    "ZonalTransfer",
     "load",
     "save",
 ]

@@ -7,9 +7,13 @@ from typing import TypeAlias
 from torchprt.transfer.clustered import ClusteredGlossyTransfer, ClusteredTransfer
 from torchprt.transfer.diffuse import DiffuseTransfer
 from torchprt.transfer.glossy import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transfer.zonal import ZonalTransfer
+from torchprt.transfer.zonal_factored import ZonalFactoredTransfer
 
 BakedTransfer: TypeAlias = DiffuseTransfer | GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
-Transfer: TypeAlias = BakedTransfer | ClusteredTransfer | ClusteredGlossyTransfer
+Transfer: TypeAlias = (
+    BakedTransfer | ClusteredTransfer | ClusteredGlossyTransfer | ZonalTransfer | ZonalFactoredTransfer
+)
 
 KINDS: dict[str, type[Transfer]] = {
     kind.kind: kind
@@ -21,8 +25,10 @@ KINDS: dict[str, type[Transfer]] = {
         VisibilityTransfer,
         ClusteredTransfer,
         ClusteredGlossyTransfer,
+        ZonalTransfer,
+        ZonalFactoredTransfer,
     )
 }
 
 # What looks the same from everywhere.
-DIFFUSE = (DiffuseTransfer, ClusteredTransfer)
+DIFFUSE = (DiffuseTransfer, ClusteredTransfer, ZonalTransfer)
