@@ -5,6 +5,8 @@ from .coherence import make_coherent as make_coherent
 from .coherence import overdraw as overdraw
 from .cpca import ClusteredPca as ClusteredPca
 from .cpca import clustered_pca as clustered_pca
+from .expected_light import light_importance as light_importance
+from .expected_light import natural_light_importance as natural_light_importance
 from .quantise import QuantisedPca as QuantisedPca
 from .quantise import quantise as quantise
 from .superclusters import cluster_order as cluster_order
@@ -19,7 +21,9 @@ __all__ = [
     "clustered_pca",
     "compress",
     "decompress",
+    "light_importance",
     "make_coherent",
+    "natural_light_importance",
     "overdraw",
     "quantise",
     "superclusters",
