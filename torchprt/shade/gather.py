@@ -1,0 +1,56 @@
+"""Sums over the neighbours of each vertex by gathers alone: a scatter is a loop in some runtimes."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+# As wide as the vertex with the most entries, but no wider than this: most have six, and one fan may have thousands.
+WIDEST = 12
+
+
+class SumRows(nn.Module):
+    """Sums `[..., R * W]`, row by row, and then the rows of each of V vertices, to `[..., V]`."""
+
+    def __init__(self, width: int, more: list[Tensor]) -> None:
+        """`more`: for each further level the rows `[R, W]` that are summed, where the last one is a zero."""
+        super().__init__()
+        self.width = width
+        self.levels = len(more)
+        for level, rows in enumerate(more):
+            self.register_buffer(f"rows{level}", rows)
+
+    def forward(self, values: Float[Tensor, "*B E"]) -> Float[Tensor, "*B V"]:
+        sums = values.unflatten(-1, (-1, self.width)).sum(-1)
+        for level in range(self.levels):
+            rows = getattr(self, f"rows{level}")
+            padded = torch.nn.functional.pad(sums, (0, 1))
+            sums = padded.index_select(-1, rows.reshape(-1)).unflatten(-1, rows.shape).sum(-1)
+        return sums
+
+
+def rows_of(owner: Int[Tensor, " E"], count: int) -> tuple[Int[Tensor, "R W"], SumRows]:
+    """Slots for E entries of `count` vertices, `owner` ascending, and the module that sums what stands in them.
+
+    Slots hold the number of an entry, or E where they stay empty; a vertex has one row or more.
+    """
+    widest = int(torch.bincount(owner, minlength=1).max())
+    width = min(max(widest, 1), WIDEST)
+    slots, belongs = _level(owner, count, width)
+    more = []
+    while len(belongs) > count:
+        rows, belongs = _level(belongs, count, width)
+        more.append(rows)
+    return slots, SumRows(width, more)
+
+
+def _level(owner: Tensor, count: int, width: int) -> tuple[Tensor, Tensor]:
+    """Slots of the rows, and whom each row belongs to."""
+    many = torch.bincount(owner, minlength=count)
+    first = many.cumsum(0) - many
+    rows = (many + width - 1).div(width, rounding_mode="floor").clamp(min=1)
+    belongs = torch.arange(count, device=owner.device).repeat_interleave(rows)
+    place = torch.arange(len(belongs), device=owner.device) - (rows.cumsum(0) - rows)[belongs]
+    slots = first[belongs, None] + place[:, None] * width + torch.arange(width, device=owner.device)
+    return torch.where(slots < (first + many)[belongs, None], slots, len(owner)), belongs
