@@ -37,6 +37,8 @@ class Mesh:
     tangents: Float64[Tensor, "V 3"] | None = None
     """Unit length, orthogonal to the normals: those of the file, or the direction of increasing u. Zero where neither
     says one; None if that is everywhere, or if the file has no texture coordinates."""
+    uv: Float64[Tensor, "V 2"] | None = None
+    """Texture coordinates; where charts meet, those of one of them. NaN where missing, None if that is everywhere."""
 
     @cached_property
     def tangent_field(self) -> Float64[Tensor, "V 3"]:
@@ -66,8 +68,8 @@ def make_mesh(
     from the faces (see `vertex_normals`). Colours are linear RGB.
 
     `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2]; rows that are not
-    finite are missing. They serve for the tangents, the directions of increasing u, and are not kept. Given
-    `tangents` come first where they are usable. Only the direction of the tangent is taken: where texture
+    finite are missing. They give the tangents, the directions of increasing u; a vertex keeps the pair of its first
+    corner. Given `tangents` come first where they are usable. Only the direction of the tangent is taken: where texture
     coordinates are mirrored, the bitangent is still normal x tangent.
 
     Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
@@ -86,7 +88,8 @@ def make_mesh(
     linear = None if colours is None else torch.from_numpy(_numpy(colours, np.float32))
     if linear is not None and linear.shape != points.shape:
         raise InputError(f"{name} has {len(linear)} colours for {len(points)} vertices: give one a vertex")
-    directions = _tangents(points, triangles, final, uv, tangents, name)
+    pairs = None if uv is None else _corner_uv(uv, points, triangles, name)
+    directions = _tangents(points, triangles, final, pairs, tangents, name)
     report = check(points, triangles, final, computed, from_faces)
     if directions is not None:
         report = replace(report, missing_tangents=int(np.all(directions == 0, axis=1).sum()))
@@ -99,6 +102,7 @@ def make_mesh(
         name=name,
         report=report,
         tangents=torch.from_numpy(directions) if usable and directions is not None else None,
+        uv=None if pairs is None else _vertex_uv(pairs, triangles, len(points)),
     )
 
 
@@ -106,7 +110,7 @@ def _tangents(
     positions: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     normals: Float[np.ndarray, "V 3"],
-    uv: Array | None,
+    uv: Float[np.ndarray, "F 3 2"] | None,
     tangents: Array | None,
     name: str,
 ) -> Float[np.ndarray, "V 3"] | None:
@@ -115,15 +119,7 @@ def _tangents(
         return None
     result = np.zeros_like(positions)
     if uv is not None:
-        pairs = _numpy(uv, np.float64)
-        if pairs.shape == (len(positions), 2):
-            pairs = pairs[faces]
-        if pairs.shape != (len(faces), 3, 2):
-            raise InputError(
-                f"{name} has texture coordinates of shape {list(pairs.shape)} for {len(positions)} vertices and "
-                f"{len(faces)} faces: give [V, 2] or [F, 3, 2]"
-            )
-        result = tangents_from_uv(positions, faces, normals, pairs)
+        result = tangents_from_uv(positions, faces, normals, uv)
     if tangents is not None:
         given = _numpy(tangents, np.float64)
         if given.shape != positions.shape:
@@ -131,6 +127,33 @@ def _tangents(
         given = orthogonal(unit(given), normals)
         result = np.where(np.any(given != 0, axis=1)[:, None], given, result)
     return result
+
+
+def _corner_uv(
+    uv: Array, positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], name: str
+) -> Float[np.ndarray, "F 3 2"]:
+    pairs = _numpy(uv, np.float64)
+    if pairs.shape == (len(positions), 2):
+        pairs = pairs[faces]
+    if pairs.shape != (len(faces), 3, 2):
+        raise InputError(
+            f"{name} has texture coordinates of shape {list(pairs.shape)} for {len(positions)} vertices and "
+            f"{len(faces)} faces: give [V, 2] or [F, 3, 2]"
+        )
+    return pairs
+
+
+def _vertex_uv(
+    pairs: Float[np.ndarray, "F 3 2"], faces: Int[np.ndarray, "F 3"], vertices: int
+) -> Float64[Tensor, "V 2"] | None:
+    """The pair of the first usable corner at each vertex; None if no corner has any."""
+    usable = np.isfinite(pairs).all(-1).reshape(-1)
+    if not usable.any():
+        return None
+    corners, first = np.unique(faces.reshape(-1)[usable], return_index=True)
+    uv = np.full((vertices, 2), np.nan)
+    uv[corners] = pairs.reshape(-1, 2)[usable][first]
+    return torch.from_numpy(uv)
 
 
 def _numpy(values: Array, dtype: type) -> np.ndarray:
