@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from . import sh as sh
     from . import shade as shade
     from . import transfer as transfer
+    from . import web as web
     from .bake import bake as bake
 
 _ROOMS = (
@@ -42,6 +43,7 @@ _ROOMS = (
     "shade",
     "trace",
     "transfer",
+    "web",
 )
 _NAMES = {
     "load": "scene",

@@ -34,6 +34,7 @@ ROOMS = (
     "onnx",
     "preview",
     "measure",
+    "web",
 )
 PATH = Path(__file__).parents[1] / "reference.md"
 HEADER = """# Reference

@@ -15,7 +15,7 @@ FLOORS = {
     "light": 2, "brdf": 2, "compress": 2, "trace": 2,
     "scene": 3, "shade": 3,
     "bake": 4, "onnx": 4, "preview": 4,
-    "measure": 5, "demo": 5,
+    "measure": 5, "web": 5, "demo": 5,
     "cli": 6, "__main__": 7,
 }  # fmt: skip
 LEAN = {"sh": {"torch", "jaxtyping", "numpy", "scipy"}, "shade": {"torch", "jaxtyping", "kornia"}}

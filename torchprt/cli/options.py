@@ -131,6 +131,13 @@ def light(path: Path, order: int, repair: bool) -> Tensor:
 
     if path.suffix.lower() == ".npy":
         return light.read_coefficients(path, order)
+    return light.project(environment(path, repair), order)
+
+
+def environment(path: Path, repair: bool) -> Tensor:
+    """The latitude-longitude map of an image, whose damage is told."""
+    from torchprt import light
+
     image, report = light.read_with_report(path, repair=repair)
     if report.damaged:
         say(f"{path}: {report}")
@@ -139,7 +146,7 @@ def light(path: Path, order: int, repair: bool) -> Tensor:
             f"{path} is {image.shape[1]} x {image.shape[0]} pixels: an environment is a latitude-longitude map, "
             "twice as wide as high"
         )
-    return light.project(image, order)
+    return image
 
 
 def windowed(coefficients: Tensor, name: str) -> Tensor:

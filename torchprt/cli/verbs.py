@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import warnings
@@ -132,7 +133,9 @@ def bake(
 def shade(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
     light: Annotated[Path, typer.Option(help="An environment image, or an .npy of light coefficients.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".npy of radiance, .ply with colours, or .png.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help=".npy of radiance, .ply or .glb with colours, or .png.")
+    ],
     rotate: Annotated[str, typer.Option(help="Turns the environment: YAW,PITCH,ROLL in degrees.")] = "0,0,0",
     window: Annotated[str, typer.Option(help="Against ringing: none, hann, lanczos, gauss or auto.")] = "none",
     eye: Annotated[
@@ -140,8 +143,8 @@ def shade(
     ] = None,
     toward: Annotated[str | None, typer.Option(help="Gloss: the direction X,Y,Z to a distant eye.")] = None,
     material: Chosen = None,
-    exposure: Annotated[float, typer.Option(help="In stops, for .ply and .png.")] = 0.0,
-    tone: Annotated[str, typer.Option(help="filmic or none, for .ply and .png.")] = "filmic",
+    exposure: Annotated[float, typer.Option(help="In stops, for .ply, .glb and .png.")] = 0.0,
+    tone: Annotated[str, typer.Option(help="filmic or none, for .ply, .glb and .png.")] = "filmic",
     size: Annotated[str, typer.Option(help="Of the .png, in pixels.")] = "800x600",
     view: Annotated[str, typer.Option(help="From the model toward the camera of the .png: X,Y,Z.")] = "0.45,0.35,1",
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
@@ -153,7 +156,7 @@ def shade(
     import torchprt as prt
     from torchprt import preview, sh
 
-    check_writable(output, (".npy", ".ply", ".png"))
+    check_writable(output, (".npy", ".ply", ".glb", ".png"))
     turn = sh.yaw_pitch_roll(torch.tensor(options.numbers(rotate, 3, "--rotate"), dtype=torch.float64)).float()
     side, (width, height) = options.direction(view, "--view"), options.size(size)
     seen = options.eye(eye, toward)
@@ -184,6 +187,9 @@ def shade(
         preview.save_png(still.picture(radiance, exposure=exposure, tone=preview.tone_map(tone)), output)
     elif output.suffix.lower() == ".ply":
         preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, exposure, tone), output)
+    elif output.suffix.lower() == ".glb":
+        linear = preview.linear_colours(radiance, exposure, tone)
+        preview.save_glb(loaded.positions, loaded.normals, loaded.faces, output, colour=linear)
     else:
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
@@ -234,9 +240,13 @@ def light(
 @app.command()
 def export(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The .onnx to write.")],
-    source: Annotated[str, typer.Option("--from", help="What the graph takes: light or environment.")] = "light",
-    size: Annotated[int, typer.Option(help="Texels along an edge of the environment's cube map.")] = 32,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The .onnx or .glb to write; with --web a folder.")],
+    source: Annotated[
+        str | None, typer.Option("--from", help="What the graph takes: light or environment.", show_default="light")
+    ] = None,
+    size: Annotated[
+        int | None, typer.Option(help="Texels along an edge of the environment's cube map.", show_default="32")
+    ] = None,
     eye: Annotated[
         str | None, typer.Option(help="Gloss: the eye is a point or a direction.", show_default="point")
     ] = None,
@@ -247,12 +257,29 @@ def export(
         Path | None, typer.Option(help="Gloss: an .npy or image of the light that never changes.")
     ] = None,
     material: Chosen = None,
+    web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
+    light: Annotated[
+        list[Path] | None, typer.Option(help="Page: images or .npy to choose from (repeatable).", show_default="four")
+    ] = None,
+    compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
+    title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    order: Annotated[
+        int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
+    ] = None,
 ) -> None:
-    """Write one self-contained .onnx and compare it with torch in ONNX Runtime."""
+    """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
+    from torchprt.cli import ways_out
 
-    check_writable(output, (".onnx",))
-    start = options.choice(source, "--from", ("light", "environment"))
+    ends = output.suffix.lower()
+    graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
+    page = {"--light": light, "--compressed": compressed, "--title": title}
+    if web:
+        ways_out.refuse(graph | {"--order": order}, "a page")
+    else:
+        check_writable(output, (".onnx", ".glb"))
+        ways_out.refuse(page | (graph if ends == ".glb" else {"--order": order}), f"{ends} without --web")
+    start = options.choice(source or "light", "--from", ("light", "environment"))
     kind = options.choice(eye or "point", "--eye", ("point", "direction"))
     place = None if fix_eye is None else options.numbers(fix_eye, 3, "--fix-eye")
     if kind == "direction" and place is not None:
@@ -265,11 +292,31 @@ def export(
     chosen = _gloss_of(loaded, material)
     if isinstance(loaded, prt.transfer.IncidentTransfer) and chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
+    if web:
+        return ways_out.page(loaded, output, light, compressed, title or transfer.stem)
+    if ends == ".glb":
+        return ways_out.mesh(loaded, output, order)
     lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
-    report = prt.onnx.export(loaded, output, source=start, size=size, eye=kind, fix_eye=place, fix_light=lamps)
+    report = prt.onnx.export(
+        loaded, output, source=start, size=32 if size is None else size, eye=kind, fix_eye=place, fix_light=lamps
+    )
     say(report)
     if report.parity is not None:
         say(report.parity)
+
+
+@app.command()
+def serve(
+    folder: Annotated[Path, typer.Argument(help="A folder that `torchprt export --web` wrote.")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 for one that is free.")] = 8000,
+) -> None:
+    """Show a page on this machine, at 127.0.0.1, until Ctrl-C."""
+    from torchprt.web import serve as served
+
+    with served(folder, port) as server:
+        say(f"{folder} is at http://127.0.0.1:{server.server_port}/ until Ctrl-C")
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 @app.command()

@@ -10,6 +10,7 @@ from .coefficients import write_coefficients as write_coefficients
 from .damage import DamagedImageWarning as DamagedImageWarning
 from .damage import ImageReport as ImageReport
 from .damage import inspect as inspect
+from .dominant import dominant as dominant
 from .environment import cube_to_latlong as cube_to_latlong
 from .environment import latlong_to_cube as latlong_to_cube
 from .environment import project as project
@@ -30,6 +31,7 @@ __all__ = [
     "cube_to_latlong",
     "directional",
     "disc",
+    "dominant",
     "hemisphere",
     "inspect",
     "latlong_to_cube",

@@ -6,6 +6,7 @@ from .camera import frame as frame
 from .error_colours import error_colours as error_colours
 from .glb import save_glb as save_glb
 from .model import colours as colours
+from .model import linear_colours as linear_colours
 from .model import save_ply as save_ply
 from .model import tone_map as tone_map
 from .picture import Still as Still
@@ -18,6 +19,7 @@ __all__ = [
     "colours",
     "error_colours",
     "frame",
+    "linear_colours",
     "save_glb",
     "save_ply",
     "save_png",

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.shade import display
-from torchprt.shade.display import ToneMap
+from torchprt.shade.display import ToneMap, filmic
 
 
 def tone_map(name: str) -> ToneMap:
@@ -29,6 +29,12 @@ def colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "
     """8-bit sRGB of linear radiance, uint8 `[V, 3]`."""
     shown = display(radiance, exposure=exposure, tone=tone_map(tone))
     return (shown * 255).round().to(torch.uint8)
+
+
+def linear_colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "filmic") -> Tensor:
+    """Linear RGB in [0, 1], float32 `[V, 3]`, for formats that leave sRGB to the viewer: `colours` are its sRGB."""
+    exposed = radiance.float() * 2.0**exposure
+    return filmic(exposed) if tone_map(tone) == "filmic" else exposed.clamp(0, 1)
 
 
 def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]) -> None:

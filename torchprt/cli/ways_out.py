@@ -1,0 +1,55 @@
+"""What `export` writes beside the graph: a page, or a mesh that carries its transfer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchprt.cli import options
+from torchprt.cli.report import say
+from torchprt.errors import InputError
+
+if TYPE_CHECKING:
+    from torchprt.transfer import Transfer
+    from torchprt.web import Environment
+
+
+def refuse(given: Mapping[str, Any], written: str) -> None:
+    """InputError if one of these options has a value, which `written` has no use for."""
+    for option, value in given.items():
+        if value is not None:
+            raise InputError(f"{option} is given, but {written} has no use for it: leave it out")
+
+
+def page(transfer: Transfer, folder: Path, lights: Sequence[Path] | None, compressed: Path | None, title: str) -> None:
+    """Writes the page of `--web` and says how to look at it."""
+    from torchprt import web
+    from torchprt.transfer import load
+
+    start = time.perf_counter()
+    packed = None if compressed is None else load(compressed)
+    environments = None if lights is None else [_environment(path, transfer.order) for path in lights]
+    report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)
+    say(f"{report}, written in {time.perf_counter() - start:.1f} s")
+    if report.parity is not None:
+        say(report.parity)
+    say(f"look at it with: torchprt serve {folder}")
+
+
+def mesh(transfer: Transfer, path: Path, order: int | None) -> None:
+    """Writes the `.glb` with transfer of low order as attributes."""
+    from torchprt.preview import save_transfer_glb
+
+    bands = min(3, transfer.order) if order is None else order
+    save_transfer_glb(transfer, path, bands)
+    say(f"{path}: {transfer.vertices} vertices, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
+
+
+def _environment(path: Path, order: int) -> Environment:
+    from torchprt import light, web
+
+    if path.suffix.lower() == ".npy":
+        return web.from_coefficients(path.stem, light.read_coefficients(path, order))
+    return web.from_image(path.stem, options.environment(path, repair=False), order)

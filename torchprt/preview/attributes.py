@@ -1,0 +1,56 @@
+"""Transfer of low order as attributes of vertices, for vertex shaders of any engine."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+from torch import Tensor
+
+from torchprt.compress import decompress
+from torchprt.errors import InputError
+from torchprt.preview.glb import save_glb
+from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer.file import CONVENTIONS
+from torchprt.transfer.kinds import CompressedTransfer, Transfer
+
+# WebGL promises 16 attributes of four numbers; position, normal and colour take three.
+MOST = 13
+
+
+def save_transfer_glb(transfer: Transfer, path: str | os.PathLike[str], order: int = 3) -> None:
+    """Writes the mesh with the first `order` bands of its transfer as `.glb`: albedo in `COLOR_0`, vectors in `_PRT_n`.
+
+    Coefficient i of channel c is number `k = c order^2 + i` of a vertex: component `k % 4` of the VEC4 `_PRT_{k // 4}`,
+    the last filled with zeros. Exit radiance in channel c is `COLOR_0[c] * sum_i light[i, c] PRT[c, i]`, with the one
+    channel for all three if there is only one. `extras` of the mesh say order, channels and conventions.
+
+    Raises InputError if the transfer depends on the eye, `order` is above its own, the vectors need more than 13
+    attributes, or `path` cannot be written.
+    """
+    if isinstance(transfer, CompressedTransfer):
+        transfer = decompress(transfer)
+    if not isinstance(transfer, DiffuseTransfer):
+        raise InputError(
+            f"transfer of kind '{transfer.kind}' does not fit attributes of vertices: they hold diffuse transfer alone"
+        )
+    low = transfer.to_order(order)
+    numbers = low.transfer.reshape(-1, low.vertices).float()
+    count = -(-len(numbers) // 4)
+    if count > MOST:
+        raise InputError(
+            f"order {order} with {low.channels} channels takes {count} attributes of four numbers, and WebGL leaves "
+            f"{MOST}: give a lower order"
+        )
+    padded = torch.zeros(4 * count, low.vertices)
+    padded[: len(numbers)] = numbers
+    attributes: dict[str, Tensor] = {f"_PRT_{k}": padded[4 * k : 4 * k + 4].T for k in range(count)}
+    save_glb(
+        low.positions,
+        low.normals,
+        low.faces,
+        path,
+        colour=low.albedo.float().expand(low.vertices, 3),
+        attributes=attributes,
+        extras={"torchprt": {"order": order, "channels": low.channels, "conventions": CONVENTIONS}},
+    )

@@ -1,0 +1,194 @@
+"""Writing the folder: the page, its libraries, the graph, the mesh, the lights."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchprt import onnx, preview
+from torchprt.compress import decompress
+from torchprt.errors import InputError
+from torchprt.shade import shader
+from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer.kinds import BakedTransfer, CompressedTransfer, Transfer
+from torchprt.version import VERSION
+from torchprt.web.environment import Environment, as_json, luminance, samples, shown
+from torchprt.web.libraries import libraries
+
+# Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
+SHADOWS, COMPRESSION = 1.0, 0.1
+# What the page fetches before its first picture, beside mesh, graphs and pictures.
+LOADED = (
+    "three.module.min.js",
+    "three.core.min.js",
+    "loaders/GLTFLoader.js",
+    "ort.wasm.bundle.min.mjs",
+    "ort.wasm.wasm.gz",
+)
+
+
+@dataclass(frozen=True)
+class PageReport:
+    """What was written: `bytes` of all files, `parity` of the graph with torch."""
+
+    folder: Path
+    bytes: int
+    environments: tuple[str, ...]
+    parity: onnx.ParityReport | None
+
+    def __str__(self) -> str:
+        return f"{self.folder}: {self.bytes / 2**20:.1f} MB, lights {', '.join(self.environments)}"
+
+
+def export(
+    transfer: Transfer,
+    folder: str | os.PathLike[str],
+    *,
+    environments: Sequence[Environment] | None = None,
+    compressed: Transfer | None = None,
+    title: str = "torchprt",
+    check: bool = True,
+) -> PageReport:
+    """Writes a page that shows `transfer` under `environments` (`samples` if none are given) into `folder`.
+
+    Any static web server will do, also in a subfolder; the page asks for nothing that is not in `folder`. It turns
+    camera and light, and draws plain N.L, unshadowed irradiance, transfer, `compressed` (the same bake, compressed) if
+    given, and the difference of transfer and what approximates it. Glossy transfer follows the eye.
+    The graph is compared with torch as by `onnx.export` if `check`. A former page in `folder` is replaced as a whole.
+
+    Raises InputError if the transfer has no faces or no graph can be made of it, the lights are not of its order,
+    `compressed` is another bake, `folder` holds something else, or the libraries cannot be had (see `libraries`).
+    """
+    target = Path(folder)
+    _check_folder(target)
+    full = _as_baked(transfer)
+    if len(full.faces) == 0:
+        raise InputError("a page shows faces, and this transfer was recorded at loose points: export .onnx")
+    packed = None if compressed is None else _as_baked(compressed)
+    if packed is not None:
+        _check_same(full, packed)
+    lights = samples(full.order) if environments is None else list(environments)
+    if not lights:
+        raise InputError("a page needs a light: give one environment or more")
+    for each in lights:
+        if len(each.coefficients) != full.order**2:
+            raise InputError(f"{each.name} has {len(each.coefficients)} coefficients: project it to order {full.order}")
+    foreign = libraries()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
+        made = Path(scratch) / "page"
+        shutil.copytree(str(resources.files("torchprt.web") / "page"), made, copy_function=shutil.copyfile)
+        shutil.copytree(foreign, made / "libraries", copy_function=shutil.copyfile)
+        report = onnx.export(full, made / "model.onnx", check=check)
+        if packed is not None:
+            onnx.export(packed, made / "compressed.onnx", check=check)
+        preview.save_glb(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_albedo(full))
+        camera = preview.frame(full.positions, aspect=1.0)
+        pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
+        stops = _exposures(full, lights, camera.eye)
+        about = _about(full, transfer, compressed, title) | {
+            "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
+            "environments": [as_json(*each) for each in zip(lights, pictures, stops, strict=True)],
+        }
+        about["download"] = sum(
+            (made / name).stat().st_size
+            for name in ("model.onnx", "mesh.glb", *(f"libraries/{name}" for name in LOADED), *pictures)
+        )
+        (made / "scene.json").write_text(json.dumps(about, allow_nan=False), encoding="utf-8")
+        _replace(target, made)
+    size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
+    return PageReport(target, size, tuple(each.name for each in lights), report.parity)
+
+
+def _check_folder(target: Path) -> None:
+    if target.exists() and not target.is_dir():
+        raise InputError(f"{target} is a file: give the name of a folder for the page")
+    if target.is_dir() and any(target.iterdir()) and not (target / "scene.json").is_file():
+        raise InputError(f"{target} holds something that is no page of torchprt: give another folder")
+
+
+def _as_baked(transfer: Transfer) -> BakedTransfer:
+    """What a graph can be made of."""
+    if isinstance(transfer, CompressedTransfer):
+        return decompress(transfer)
+    return transfer  # type: ignore[return-value]
+
+
+def _check_same(full: BakedTransfer, packed: BakedTransfer) -> None:
+    same = (
+        full.order == packed.order
+        and isinstance(full, DiffuseTransfer) == isinstance(packed, DiffuseTransfer)
+        and torch.equal(full.positions, packed.positions)
+        and torch.equal(full.faces, packed.faces)
+    )
+    if not same:
+        raise InputError("the compressed transfer is of another bake: give what `torchprt compress` made of this one")
+
+
+def _albedo(transfer: BakedTransfer) -> Tensor:
+    """What stands for the surface where there is no transfer, `[V, 3]`: all that it reflects, black without normal."""
+    albedo = transfer.albedo.float().expand(transfer.vertices, 3).clone()
+    if not isinstance(transfer, DiffuseTransfer):
+        albedo[transfer.glossy.long()] += transfer.specular.float().expand(len(transfer.glossy), 3)
+    return torch.where(transfer.normals.abs().sum(-1, keepdim=True) > 0, albedo.clamp(max=1), 0.0)
+
+
+def _picture(environment: Environment, folder: Path, index: int) -> str:
+    from PIL import Image
+
+    name = f"environments/{index}.jpg"
+    (folder / "environments").mkdir(exist_ok=True)
+    values = (shown(environment) * 255).round().to(torch.uint8).numpy()
+    Image.fromarray(values).save(folder / name, quality=95, subsampling=0)
+    return name
+
+
+def _exposures(transfer: BakedTransfer, lights: Sequence[Environment], eye: tuple[float, float, float]) -> list[float]:
+    """Stops that bring the brighter parts of the model (95 of 100 vertices) below the shoulder of the tone map."""
+    stack = torch.stack([each.coefficients for each in lights])
+    seen = {} if isinstance(transfer, DiffuseTransfer) else {"eye": torch.tensor(eye)}
+    with torch.no_grad():
+        bright = luminance(shader(transfer)(stack, **seen).float()).quantile(0.95, dim=-1)
+    return [round(math.log2(0.5 / value), 2) if value > 1e-30 else 0.0 for value in bright.tolist()]
+
+
+def _about(full: BakedTransfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
+    bounces = f", {full.bounces} {'bounce' if full.bounces == 1 else 'bounces'}" if full.bounces else ""
+    about: dict[str, Any] = {
+        "torchprt": VERSION,
+        "title": title,
+        "subtitle": f"{transfer.kind} transfer, order {full.order}",
+        "transport": full.transport + bounces,
+        "kind": transfer.kind,
+        "order": full.order,
+        "vertices": full.vertices,
+        "bytes": transfer.bytes,
+        "glossy": not isinstance(full, DiffuseTransfer),
+        "full_scale": SHADOWS if compressed is None else COMPRESSION,
+        "compressed": None,
+    }
+    if compressed is not None:
+        about["compressed"] = {
+            "bytes": compressed.bytes,
+            "what": f"{transfer.bytes / compressed.bytes:.1f} times smaller",
+        }
+    return about
+
+
+def _replace(target: Path, made: Path) -> None:
+    """Puts the folder in its place, with the permissions of any new folder, and the former one away."""
+    former = made.parent / "former"
+    if target.exists():
+        target.rename(former)
+    made.rename(target)

@@ -1,0 +1,87 @@
+// ONNX Runtime: a graph and its inputs, in WebAssembly on one thread, or on the graphics card where that is faster.
+
+const FOLDER = new URL("./libraries/", import.meta.url);
+
+async function bytes(url) {
+  const response = await fetch(url);
+  if (!response.ok) throw new Error(`${url} could not be loaded (${response.status} ${response.statusText})`);
+  return response.arrayBuffer();
+}
+
+/** The content of a .gz file, also from servers that unpack it themselves. */
+async function unpacked(url) {
+  const content = await bytes(url);
+  const [first, second] = new Uint8Array(content, 0, 2);
+  if (first !== 0x1f || second !== 0x8b) return content;
+  const stream = new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
+}
+
+async function load(name) {
+  const [ort, wasm] = await Promise.all([
+    import(new URL(`${name}.bundle.min.mjs`, FOLDER)),
+    unpacked(new URL(`${name}.wasm.gz`, FOLDER)),
+  ]);
+  // Threads need headers that a plain static server does not send.
+  ort.env.wasm.numThreads = 1;
+  ort.env.wasm.wasmBinary = wasm;
+  ort.env.logLevel = "error";
+  return ort;
+}
+
+let wasm;
+let webgpu;
+
+/** The runtime itself, which takes longest to load: call it early. */
+export function prepare() {
+  wasm ??= load("ort.wasm");
+  return wasm;
+}
+
+/** A graph `torchprt export` wrote: `shade(light, rotation, eye)` gives radiance, V x 3. */
+export class Model {
+  constructor(ort, session, name, size) {
+    this.ort = ort;
+    this.session = session;
+    this.where = name;
+    this.bytes = size;
+  }
+
+  static async open(url) {
+    const [ort, content] = await Promise.all([prepare(), bytes(url)]);
+    return Model.#create(ort, content, "wasm", url);
+  }
+
+  /** The same graph on the graphics card; null if the browser has none that can be used. */
+  static async openOnGpu(url) {
+    if (!("gpu" in navigator) || !("Suspending" in WebAssembly) || !(await navigator.gpu.requestAdapter())) return null;
+    webgpu ??= load("ort.jspi");
+    const [ort, content] = await Promise.all([webgpu, bytes(url)]);
+    return Model.#create(ort, content, "webgpu", url);
+  }
+
+  static async #create(ort, content, name, url) {
+    let session;
+    try {
+      session = await ort.InferenceSession.create(content, { executionProviders: [name] });
+    } catch (fault) {
+      throw new Error(`ONNX Runtime cannot read ${url} (${fault.message ?? fault})`, { cause: fault });
+    }
+    return new Model(ort, session, name, content.byteLength);
+  }
+
+  async shade(light, rotation, eye) {
+    const { ort, session } = this;
+    const inputs = {
+      light: new ort.Tensor("float32", light, [1, light.length / 3, 3]),
+      rotation: new ort.Tensor("float32", Float32Array.from(rotation), [1, 3, 3]),
+    };
+    if (session.inputNames.includes("eye")) inputs.eye = new ort.Tensor("float32", Float32Array.from(eye), [1, 3]);
+    const { radiance } = await session.run(inputs);
+    const values = await radiance.getData();
+    // The memory of WebAssembly may move and be used again: what is kept is a copy.
+    const kept = Float32Array.from(values);
+    radiance.dispose();
+    return kept;
+  }
+}

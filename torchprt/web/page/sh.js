@@ -1,0 +1,64 @@
+// Irradiance from spherical harmonics. Order, index and sign are those of torchprt: l(l+1) + m, Condon-Shortley.
+
+/** Of the clamped cosine, over pi: what reflects from a white diffuse surface, a band at a time (0 from band 5 on). */
+const COSINE = [1, 2 / 3, 1 / 4, 0, -1 / 24];
+
+/** The real orthonormal basis at the unit direction (x, y, z), written into `out`, of `order` bands up to 5. */
+export function basis(x, y, z, order, out) {
+  let sectoral = Math.sqrt(1 / (4 * Math.PI));
+  let real = 1;
+  let imaginary = 0;
+  for (let m = 0; m < order; m++) {
+    if (m > 0) {
+      // (x + iy)^m, and Q_m^m with the sign (-1)^m.
+      [real, imaginary] = [real * x - imaginary * y, real * y + imaginary * x];
+      sectoral *= -Math.sqrt((2 * m + 1) / (2 * m));
+    }
+    const scale = m > 0 ? Math.SQRT2 : 1;
+    let below = 0;
+    let here = sectoral;
+    for (let l = m; l < order; l++) {
+      if (l > m) {
+        const a = Math.sqrt((4 * l * l - 1) / (l * l - m * m));
+        const b = Math.sqrt(((l - 1) * (l - 1) - m * m) / (4 * (l - 1) * (l - 1) - 1));
+        [below, here] = [here, a * (z * here - b * below)];
+      }
+      out[l * (l + 1) + m] = scale * here * real;
+      if (m > 0) out[l * (l + 1) - m] = scale * here * imaginary;
+    }
+  }
+  return out;
+}
+
+/**
+ * What unshadowed white diffuse surfaces reflect, irradiance / pi, as a function `(x, y, z, out)` of their normals.
+ * `light`: N x 3 coefficients; bands of order 6 and more, and the fourth, reach no diffuse surface.
+ */
+export function irradiance(light) {
+  const order = Math.min(Math.round(Math.sqrt(light.length / 3)), COSINE.length);
+  const count = order * order;
+  const values = new Float64Array(count);
+  const filtered = new Float64Array(3 * count);
+  for (let l = 0; l < order; l++) {
+    for (let i = 3 * l * l; i < 3 * (l + 1) * (l + 1); i++) filtered[i] = COSINE[l] * light[i];
+  }
+  return (x, y, z, out) => {
+    basis(x, y, z, order, values);
+    let [red, green, blue] = [0, 0, 0];
+    for (let i = 0; i < count; i++) {
+      red += values[i] * filtered[3 * i];
+      green += values[i] * filtered[3 * i + 1];
+      blue += values[i] * filtered[3 * i + 2];
+    }
+    out[0] = red;
+    out[1] = green;
+    out[2] = blue;
+  };
+}
+
+/** `light` without the bands from `order` on. */
+export function lowBands(light, order) {
+  const low = Float32Array.from(light);
+  low.fill(0, 3 * order * order);
+  return low;
+}

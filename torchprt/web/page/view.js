@@ -1,0 +1,192 @@
+// What is drawn: the mesh with its radiance, the environment behind it, a camera around both.
+import * as THREE from "three";
+import { GLTFLoader } from "./libraries/loaders/GLTFLoader.js";
+import { DISPLAY } from "./display.js";
+
+// Attributes and colours pass through as they are: radiance is linear, DISPLAY makes of it what is shown.
+THREE.ColorManagement.enabled = false;
+
+const GROUND = 0x0d0e11;
+const STEEPEST = (89 / 180) * Math.PI;
+
+const surface = () =>
+  new THREE.ShaderMaterial({
+    uniforms: { exposure: { value: 0 }, falseColour: { value: false } },
+    vertexShader: /* glsl */ `
+      attribute vec3 radiance;
+      varying vec3 shown;
+      void main() {
+        shown = radiance;
+        gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      }`,
+    fragmentShader: /* glsl */ `
+      uniform float exposure;
+      uniform bool falseColour;
+      varying vec3 shown;
+      ${DISPLAY}
+      void main() {
+        gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(filmic(shown * exp2(exposure))), 1.0);
+      }`,
+  });
+
+// The side that reflects nothing is black, and gives way to a surface that lies on it and faces the eye.
+const reverse = () =>
+  new THREE.MeshBasicMaterial({
+    color: 0,
+    side: THREE.BackSide,
+    polygonOffset: true,
+    polygonOffsetFactor: 1,
+    polygonOffsetUnits: 4,
+  });
+
+const surroundings = () =>
+  new THREE.ShaderMaterial({
+    uniforms: { picture: { value: null }, turn: { value: new THREE.Matrix3() } },
+    side: THREE.BackSide,
+    depthTest: false,
+    depthWrite: false,
+    vertexShader: /* glsl */ `
+      varying vec3 direction;
+      void main() {
+        direction = position;
+        // At the far plane, wherever that is.
+        gl_Position = (projectionMatrix * vec4(mat3(viewMatrix) * position, 1.0)).xyww;
+      }`,
+    fragmentShader: /* glsl */ `
+      uniform sampler2D picture;
+      uniform mat3 turn;
+      varying vec3 direction;
+      const float PI = 3.141592653589793;
+      void main() {
+        // R^T d, then a latitude-longitude map whose middle is -z and whose top row is +y.
+        vec3 d = normalize(direction) * turn;
+        vec2 place = vec2(atan(d.x, -d.z) / (2.0 * PI) + 0.5, 1.0 - acos(clamp(d.y, -1.0, 1.0)) / PI);
+        // Noise of one unit in 255 hides the steps of a wide gradient.
+        float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))) - 0.5;
+        gl_FragColor = vec4(0.45 * textureLod(picture, place, 0.0).rgb + noise / 255.0, 1.0);
+      }`,
+  });
+
+/** Positions, normals and albedo of a mesh as flat arrays, vertices as they are in the file. */
+export async function loadMesh(url) {
+  let scene;
+  try {
+    ({ scene } = await new GLTFLoader().loadAsync(url));
+  } catch (fault) {
+    throw new Error(`${url} could not be read as a mesh (${fault.message ?? fault})`, { cause: fault });
+  }
+  let geometry;
+  scene.traverse((node) => (geometry ??= node.geometry));
+  if (!geometry) throw new Error(`${url} holds no mesh`);
+  return {
+    geometry,
+    vertices: geometry.attributes.position.count,
+    normals: geometry.attributes.normal.array,
+    albedo: geometry.attributes.color.array,
+  };
+}
+
+export class View {
+  constructor(canvas, geometry, camera) {
+    this.canvas = canvas;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+    this.renderer.setClearColor(GROUND);
+    geometry.computeBoundingSphere();
+    this.ball = geometry.boundingSphere;
+    this.material = surface();
+    this.geometry = geometry;
+    const front = new THREE.Mesh(geometry, this.material);
+    const back = new THREE.Mesh(geometry, reverse());
+    this.sky = new THREE.Mesh(new THREE.SphereGeometry(1, 64, 32), surroundings());
+    this.sky.frustumCulled = false;
+    this.sky.renderOrder = -1;
+    this.sky.visible = false;
+    this.scene = new THREE.Scene().add(this.sky, front, back);
+    this.pictures = new Map();
+    this.#place(camera);
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  #place({ eye, target, field }) {
+    this.target = new THREE.Vector3(...target);
+    const away = new THREE.Vector3(...eye).sub(this.target);
+    this.distance = this.farthest = away.length();
+    this.elevation = Math.max(-STEEPEST, Math.min(STEEPEST, Math.asin(away.y / this.distance)));
+    this.azimuth = Math.atan2(away.x, away.z);
+    this.camera = new THREE.PerspectiveCamera(field, 1, 1, 2);
+    this.field = field;
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    // The field is that of the shorter side, so that a narrow window shows the whole model too.
+    const reach = Math.tan((this.field * Math.PI) / 360);
+    this.camera.fov = (360 / Math.PI) * Math.atan(reach / Math.min(1, this.camera.aspect));
+    this.onchange?.();
+  }
+
+  /** Angles in radians. */
+  orbit(right, up) {
+    this.azimuth -= right;
+    this.elevation = Math.max(-STEEPEST, Math.min(STEEPEST, this.elevation + up));
+  }
+
+  zoom(factor) {
+    this.distance = Math.max(0.15 * this.farthest, Math.min(4 * this.farthest, this.distance * factor));
+  }
+
+  /** The point the model is seen from, in its unit. */
+  get eye() {
+    const across = Math.cos(this.elevation);
+    return new THREE.Vector3(across * Math.sin(this.azimuth), Math.sin(this.elevation), across * Math.cos(this.azimuth))
+      .multiplyScalar(this.distance)
+      .add(this.target);
+  }
+
+  /** The axis of the world that points right on the screen. */
+  get right() {
+    return new THREE.Vector3(Math.cos(this.azimuth), 0, -Math.sin(this.azimuth));
+  }
+
+  set radiance(values) {
+    const attribute = this.geometry.attributes.radiance;
+    if (attribute) {
+      attribute.array = values;
+      attribute.needsUpdate = true;
+    } else {
+      this.geometry.setAttribute("radiance", new THREE.BufferAttribute(values, 3).setUsage(THREE.DynamicDrawUsage));
+    }
+  }
+
+  /** `image` (an element that is loaded) behind the model, turned by the row-major `rotation`; none without image. */
+  surround(image, rotation) {
+    this.sky.visible = Boolean(image);
+    if (!image) return;
+    if (!this.pictures.has(image)) {
+      const texture = new THREE.Texture(image);
+      texture.generateMipmaps = false;
+      texture.minFilter = THREE.LinearFilter;
+      texture.wrapS = THREE.RepeatWrapping;
+      texture.needsUpdate = true;
+      this.pictures.set(image, texture);
+    }
+    this.sky.material.uniforms.picture.value = this.pictures.get(image);
+    this.sky.material.uniforms.turn.value.set(...rotation);
+  }
+
+  draw() {
+    const away = this.eye.distanceTo(this.ball.center);
+    this.camera.near = Math.max(away - 1.01 * this.ball.radius, away / 1000);
+    this.camera.far = away + 1.01 * this.ball.radius;
+    this.camera.position.copy(this.eye);
+    this.camera.lookAt(this.target);
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.scene, this.camera);
+  }
+}
