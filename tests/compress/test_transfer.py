@@ -4,11 +4,13 @@ import dataclasses
 
 import pytest
 import torch
-from transfers import random_glossy
+from transfers import KINDS, random_glossy
 
-from torchprt.compress import compress, decompress
+from torchprt.compress import compress, decompress, overdraw
+from torchprt.compress.search import stored_bytes
+from torchprt.compress.transfer import receiver_faces
 from torchprt.errors import InputError
-from torchprt.transfer import ClusteredGlossyTransfer, ClusteredTransfer, load, save
+from torchprt.transfer import ClusteredTransfer, load, save
 
 EPS = torch.finfo(torch.float32).eps
 
@@ -29,10 +31,28 @@ def test_refuses_what_the_signal_cannot_give(diffuse, options):
         compress(diffuse, **options)
 
 
-@pytest.mark.parametrize("kind", ["incident", "visibility", "factored"])
-def test_refuses_kinds_without_a_compressed_form(kind):
-    with pytest.raises(InputError, match=kind):
-        compress(random_glossy(kind), clusters=2, components=1)
+def test_refuses_what_is_compressed_already(diffuse):
+    with pytest.raises(InputError, match="clustered"):
+        compress(compress(diffuse, clusters=2, components=1))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"error": 0.1, "bytes": 1000}, "both"),
+        ({"error": 0.0}, "above 0"),
+        ({"error": float("nan")}, "above 0"),
+        ({"error": 1e-9, "bits": 8}, "the best is"),
+        ({"bytes": 10}, "give [0-9]+ or more"),
+        ({"error": 0.1, "clusters": 3}, "clusters"),
+        ({"bits": 4}, "bits"),
+        ({"coherence": -1.0}, "coherence"),
+        ({"shared": 1000, "clusters": 2}, "shared"),
+    ],
+)
+def test_refuses_sizes_that_cannot_be(diffuse, options, said):
+    with pytest.raises(InputError, match=said):
+        compress(diffuse, **options)
 
 
 def test_refuses_transfer_without_receivers(diffuse):
@@ -61,16 +81,84 @@ def test_the_stated_errors_are_those_of_what_comes_back(diffuse, method):
     assert 0.01 < relative < 1
 
 
-def test_matrices_come_back_with_all_that_is_beside_them(glossy):
-    packed = compress(glossy, clusters=3, components=2)
-    assert isinstance(packed, ClusteredGlossyTransfer)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stored", [{}, {"bits": 16}, {"bits": 8}, {"shared": 5}], ids=str)
+def test_glossy_kinds_come_back_with_all_that_is_beside_them(kind, stored):
+    whole = random_glossy(kind, vertices=40, glossy=30)
+    packed = compress(whole, clusters=3, components=2, **stored)
+    assert packed.kind == f"clustered {kind}".removesuffix(" glossy") + " glossy" * (kind == "glossy")
+    assert packed.output_order == whole.output_order if kind != "factored" else True
     back = decompress(packed)
-    squared = (back.matrix - glossy.matrix).double().square().sum((0, 2, 3))
+    name = "visibility" if kind == "visibility" else "matrix"
+    change = (getattr(back, name) - getattr(whole, name)).double().square()
+    squared = change.sum(0) if kind == "visibility" else change.sum((0, 2, 3))
     torch.testing.assert_close(packed.squared_error.double(), squared, rtol=1e-3, atol=1e-6)
-    for field in dataclasses.fields(glossy):
-        if field.name != "matrix":
-            value, found = getattr(glossy, field.name), getattr(back, field.name)
+    for field in dataclasses.fields(whole):
+        if field.name != name:
+            value, found = getattr(whole, field.name), getattr(back, field.name)
             assert torch.equal(value, found) if isinstance(value, torch.Tensor) else value == found, field.name
+
+
+def test_as_many_shared_axes_as_numbers_lose_nothing(glossy):
+    numbers = glossy.matrix[:, 0].numel()
+    plain = compress(glossy, clusters=3, components=2)
+    two_level = compress(glossy, clusters=3, components=2, shared=numbers)
+    # Another basis in which clusters are sought, the same distances.
+    assert two_level.compression_error == pytest.approx(plain.compression_error, rel=0.05)
+    assert compress(glossy, clusters=3, components=2, shared=4).compression_error > plain.compression_error
+
+
+def test_shared_axes_are_those_of_least_error(glossy):
+    packed = compress(glossy, clusters=1, components=4, shared=7)
+    signal = glossy.matrix.transpose(0, 1).flatten(1).double()
+    axes = packed.shared.flatten(1).double()
+    torch.testing.assert_close(axes @ axes.mT, torch.eye(7).double(), atol=1e-5, rtol=0)
+    left = float((signal - signal @ axes.mT @ axes).square().sum())
+    assert left == pytest.approx(float(torch.linalg.svdvals(signal)[7:].square().sum()), rel=1e-5)
+
+
+@pytest.mark.parametrize("bits", [32, 8])
+def test_an_error_that_is_asked_for_is_met_in_fewer_bytes_than_a_smaller_one(make_transfer, bits):
+    whole = make_transfer(side=36, order=4)
+    coarse, fine = (compress(whole, error=error, bits=bits) for error in (0.3, 0.15))
+    assert coarse.compression_error <= 0.3
+    assert fine.compression_error <= 0.15
+    assert coarse.bytes < fine.bytes < whole.bytes
+
+
+@pytest.mark.parametrize("method", ["vq", "pca", "iterative", "adaptive"])
+def test_bytes_that_are_asked_for_are_kept_to_and_used(make_transfer, method):
+    whole = make_transfer(side=36, order=4)
+    few, many = (compress(whole, bytes=size, method=method) for size in (8_000, 30_000))
+    assert 4_000 < few.bytes <= 8_000
+    assert 12_000 < many.bytes <= 30_000
+    assert many.compression_error < few.compression_error
+
+
+@pytest.mark.parametrize("bits", [32, 16, 8])
+@pytest.mark.parametrize("shared", [0, 6])
+def test_bytes_are_foretold(make_transfer, bits, shared):
+    packed = compress(make_transfer(side=30, order=4), clusters=7, components=3, bits=bits, shared=shared)
+    assert packed.bytes == stored_bytes(900, 16, 7, 3, shared, bits)
+
+
+def test_coherence_lowers_overdraw_for_no_more_error_than_is_allowed(make_transfer):
+    whole = make_transfer(side=40, order=3)
+    plain, coherent = (compress(whole, clusters=9, components=2, coherence=part) for part in (0, 0.1))
+    assert overdraw(whole.faces, coherent.label) < overdraw(whole.faces, plain.label)
+    allowed = 1.1 * float(plain.squared_error.double().sum())
+    assert float(coherent.squared_error.double().sum()) <= allowed * (1 + 1e-5)
+
+
+def test_clusters_of_glossy_receivers_are_made_coherent_over_their_own_triangles(make_transfer):
+    whole = random_glossy("glossy", vertices=36, glossy=30)
+    faces = make_transfer(side=6).faces
+    whole = dataclasses.replace(whole, faces=faces)
+    among = receiver_faces(whole)
+    kept = torch.isin(faces, whole.glossy).all(1)
+    assert torch.equal(whole.glossy[among], faces[kept].long())
+    assert 0 < len(among) < len(faces)
+    compress(whole, clusters=4, components=1, coherence=0.2).check()
 
 
 def test_what_is_so_many_subspaces_comes_back_to_rounding(diffuse):
@@ -109,9 +197,11 @@ def test_bytes_are_those_of_the_stored_tensors_and_fewer(make_transfer):
     assert packed.bytes < whole.bytes / 4
 
 
-@pytest.mark.parametrize("kind", ["diffuse", "glossy"])
-def test_files_hold_it_whole(kind, diffuse, glossy, tmp_path):
-    packed = compress({"diffuse": diffuse, "glossy": glossy}[kind], clusters=3, components=2, method="adaptive")
+@pytest.mark.parametrize("kind", ["diffuse", *KINDS])
+@pytest.mark.parametrize("stored", [{}, {"bits": 8, "shared": 5}], ids=str)
+def test_files_hold_it_whole(kind, diffuse, stored, tmp_path):
+    whole = diffuse if kind == "diffuse" else random_glossy(kind, vertices=40)
+    packed = compress(whole, clusters=3, components=2, method="adaptive", **stored)
     save(packed, tmp_path / "a.safetensors")
     again = load(tmp_path / "a.safetensors")
     assert type(again) is type(packed)
@@ -127,5 +217,11 @@ def test_a_label_without_its_cluster_is_named(diffuse):
         dataclasses.replace(packed, label=packed.label + 1).check()
     with pytest.raises(InputError, match="offsets"):
         dataclasses.replace(packed, offsets=packed.offsets + 1).check()
+    with pytest.raises(InputError, match="weights"):
+        dataclasses.replace(packed, weights=packed.weights[1:]).check()
     with pytest.raises(InputError, match="offsets"):
         dataclasses.replace(packed, offsets=packed.offsets[1:])
+    with pytest.raises(InputError, match="low and step"):
+        dataclasses.replace(packed, low=packed.low.new_zeros(len(packed.basis)))
+    with pytest.raises(InputError, match="shared axes"):
+        dataclasses.replace(packed, mean=packed.mean[:, 1:], basis=packed.basis[:, 1:])

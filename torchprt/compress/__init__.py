@@ -3,6 +3,7 @@
 from .clusters import vector_quantise as vector_quantise
 from .coherence import make_coherent as make_coherent
 from .coherence import overdraw as overdraw
+from .compress import compress as compress
 from .cpca import ClusteredPca as ClusteredPca
 from .cpca import clustered_pca as clustered_pca
 from .expected_light import light_importance as light_importance
@@ -11,7 +12,6 @@ from .quantise import QuantisedPca as QuantisedPca
 from .quantise import quantise as quantise
 from .superclusters import cluster_order as cluster_order
 from .superclusters import superclusters as superclusters
-from .transfer import compress as compress
 from .transfer import decompress as decompress
 
 __all__ = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Integer
 from torch import Tensor
 
 from torchprt.compress.cpca import ClusteredPca, project
@@ -18,7 +18,7 @@ from torchprt.errors import InputError
 _PASSES = 6
 
 
-def overdraw(faces: Int[Tensor, "F 3"], label: Int[Tensor, "V"]) -> float:
+def overdraw(faces: Int[Tensor, "F 3"], label: Integer[Tensor, "V"]) -> float:
     """Clusters among the corners of a triangle, the mean over all triangles: how often it is drawn, 1 to 3.
 
     Raises InputError if there is no triangle, or one with a corner that has no label.

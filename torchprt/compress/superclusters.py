@@ -7,14 +7,14 @@ from collections import Counter
 from itertools import combinations
 
 import torch
-from jaxtyping import Int, Int64
+from jaxtyping import Int, Int64, Integer
 from torch import Tensor
 
 from torchprt.compress.coherence import check_mesh
 from torchprt.errors import InputError
 
 
-def superclusters(faces: Int[Tensor, "F 3"], label: Int[Tensor, "V"], most: int) -> Int64[Tensor, "K"]:
+def superclusters(faces: Int[Tensor, "F 3"], label: Integer[Tensor, "V"], most: int) -> Int64[Tensor, "K"]:
     """The supercluster of every cluster, at most `most` clusters in each; K is the largest label and one.
 
     Starts with a supercluster for every cluster and joins the two that share the most triangles, until no two that
@@ -65,7 +65,7 @@ def superclusters(faces: Int[Tensor, "F 3"], label: Int[Tensor, "V"], most: int)
 
 
 def cluster_order(
-    faces: Int[Tensor, "F 3"], label: Int[Tensor, "V"], supercluster: Int[Tensor, "K"] | None = None
+    faces: Int[Tensor, "F 3"], label: Integer[Tensor, "V"], supercluster: Int[Tensor, "K"] | None = None
 ) -> tuple[Int64[Tensor, "V"], Int64[Tensor, "F"]]:
     """The order of points, and that of triangles, in which superclusters and clusters are one after the other.
 

@@ -3,32 +3,98 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import embedding_bag
 
+from torchprt.brdf import Brdf
 from torchprt.errors import InputError
-from torchprt.sh import Rotation, exit_functions
+from torchprt.sh import Rotation
 from torchprt.shade.diffuse import DiffuseShader
+from torchprt.shade.glossy import FactoredShader, GlossyShader
+from torchprt.shade.incident import IncidentShader
 from torchprt.shade.view import ViewShader, matrix_vectors
-from torchprt.transfer import ClusteredGlossyTransfer, ClusteredTransfer
+from torchprt.shade.visibility import VisibilityShader
+from torchprt.transfer import (
+    ClusteredFactoredTransfer,
+    ClusteredGlossyTransfer,
+    ClusteredIncidentTransfer,
+    ClusteredTransfer,
+    ClusteredVisibilityTransfer,
+    CompressedTransfer,
+)
+
+
+class Blend(nn.Module):
+    """What receivers have of the representatives: `[V, P...]` sums of rows of a table.
+
+    Buffers: `representatives [K + E, Q]` (a parameter if it is learned), `shared [Q or 0, ...]`, and for
+    `embedding_bag` int32 `rows`, `weights`, and `starts [V]`: of every receiver its mean, with 1, then the PCA vectors
+    of its cluster. Weights stored as bytes are widened here.
+    """
+
+    representatives: Tensor
+    shared: Tensor
+    rows: Tensor
+    weights: Tensor
+    starts: Tensor
+
+    def __init__(
+        self, transfer: CompressedTransfer, dtype: torch.dtype, learned: bool = False, lost: Tensor | None = None
+    ):
+        """`lost [V]`: receivers that have nothing."""
+        super().__init__()
+        representatives = transfer.representatives(dtype)
+        if learned:
+            self.register_parameter("representatives", nn.Parameter(representatives.clone()))
+        else:
+            self.register_buffer("representatives", representatives)
+        self.register_buffer("shared", transfer.shared.detach().to(dtype))
+        label = transfer.label.long()
+        vectors, weights, starts = transfer.blend(dtype)
+        device = label.device
+        receivers = torch.arange(len(label), device=device)
+        first = starts + receivers
+        owner = receivers.repeat_interleave(transfer.counts[label])
+        place = torch.arange(len(vectors), device=device) + owner + 1
+        rows = torch.empty(len(label) + len(vectors), dtype=torch.int32, device=device)
+        rows[first], rows[place] = label.int(), (len(transfer.mean) + vectors).int()
+        blended = torch.empty(len(rows), dtype=dtype, device=device)
+        blended[first], blended[place] = 1, weights
+        if lost is not None and bool(lost.any()):
+            blended[first[lost]] = 0
+            blended[place[lost[owner]]] = 0
+        self.register_buffer("rows", rows)
+        self.register_buffer("weights", blended)
+        self.register_buffer("starts", first.int())
+
+    def forward(self, table: Float[Tensor, "R D"]) -> Float[Tensor, "V D"]:
+        """The blend of the rows of `table`, one for each representative."""
+        return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=self.weights)
+
+    def sent(self, product: Callable[[Tensor], Tensor]) -> Float[Tensor, "R D"]:
+        """What every representative becomes under `product`, linear, of signals `[Q or R, ...]` to rows `[., D]`."""
+        if len(self.shared):
+            return self.representatives @ product(self.shared)
+        return product(self.representatives.unflatten(1, self.shared.shape[1:]))
+
+    def signal(self) -> Tensor:
+        """`[V, ...]`: the decompressed signal."""
+        rows = self(self.representatives)
+        return (rows @ self.shared.flatten(1) if len(self.shared) else rows).unflatten(1, self.shared.shape[1:])
 
 
 class ClusteredShader(DiffuseShader):
     """Exit radiance of `ClusteredTransfer`, never decompressed.
 
-    A light is applied to the K + E representatives `[R, C, N]`; then every receiver sums the mean of its cluster and
-    P weighted vectors: 3 (P + 1) multiplications a light, whatever its order. Called and turned as `DiffuseShader`;
-    `out` is refused. `learn` may name "albedo" (without bounces) and "representatives".
+    A light is applied to the representatives, or to the axes that they share; then every receiver sums the mean of
+    its cluster and P weighted vectors: 3 (P + 1) multiplications a light, whatever its order. Called and turned as
+    `DiffuseShader`; `out` is refused. `learn` may name "albedo" (without bounces) and "representatives".
     Source: Sloan, Hall, Hart and Snyder 2003, section 6.
     """
-
-    representatives: Tensor
-    rows: Tensor
-    weights: Tensor
 
     def __init__(self, transfer: ClusteredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()):
         nn.Module.__init__(self)
@@ -42,100 +108,145 @@ class ClusteredShader(DiffuseShader):
                 "receive; bake without bounces"
             )
         dtype = dtype or torch.promote_types(transfer.mean.dtype, torch.float32)
-        rows, weights = blend(transfer, dtype)
-        for name, value in (
-            ("representatives", torch.cat([transfer.mean, transfer.basis]).detach().to(dtype)),
-            ("albedo", transfer.albedo.detach().to(dtype)),
-        ):
-            if name in learn:
-                self.register_parameter(name, nn.Parameter(value.clone()))
-            else:
-                self.register_buffer(name, value)
-        self.register_buffer("rows", rows)
-        self.register_buffer("weights", weights)
+        self.blend = Blend(transfer, dtype, "representatives" in learn)
+        albedo = transfer.albedo.detach().to(dtype)
+        if "albedo" in learn:
+            self.register_parameter("albedo", nn.Parameter(albedo.clone()))
+        else:
+            self.register_buffer("albedo", albedo)
         self.turn = Rotation(transfer.order, dtype).to(transfer.mean.device)
         self.order = transfer.order
 
     def extra_repr(self) -> str:
-        return f"order={self.order}, representatives={len(self.representatives)}, vertices={len(self.rows)}"
+        return f"order={self.order}, representatives={len(self.blend.representatives)}"
 
     def _product(self, light: Tensor, out: Tensor | None) -> Tensor:
         """`[*B, 3, N]` to `[*B, 3, V]`."""
         if out is not None:
             raise InputError("out cannot be used with clustered transfer: leave it out")
         batch = light.shape[:-2]
-        channels, count = self.representatives.shape[1:]
-        lights = light.movedim(-2, 0).reshape(channels, 3 // channels * math.prod(batch), count)
-        # `[C, R, 3 / C * B]`: what every representative sends under every light.
-        sent = self.representatives.transpose(0, 1) @ lights.mT
-        table = sent.transpose(0, 1).reshape(len(self.representatives), 3 * math.prod(batch))
-        found = embedding_bag(self.rows, table, mode="sum", per_sample_weights=self.weights)
-        return found.mT.reshape(3, *batch, len(self.rows)).movedim(0, -2)
+
+        def product(signal: Tensor) -> Tensor:
+            channels, count = signal.shape[1:]
+            lights = light.movedim(-2, 0).reshape(channels, 3 // channels * math.prod(batch), count)
+            return (signal.transpose(0, 1) @ lights.mT).transpose(0, 1).reshape(len(signal), 3 * math.prod(batch))
+
+        found = self.blend(self.blend.sent(product))
+        return found.mT.reshape(3, *batch, len(found)).movedim(0, -2)
 
 
-class ClusteredGlossyShader(ViewShader):
-    """Exit radiance of `ClusteredGlossyTransfer`, never decompressed but to fix an eye.
+class ClusteredMatrix(ViewShader):
+    """Mixed into a shader of stored matrices: the matrices are clustered, and never decompressed but to fix an eye.
 
     A light is applied to the representatives; every receiver sums the exit coefficients of its cluster's, and the eye
     comes last: 3 M (P + 1) multiplications a light instead of M N, whatever the order of the light. Many lights under
-    one eye are where `ClusteredGlossyTransfer` gains least; `fix_eye` makes the vectors of that eye, as large as those
-    of diffuse transfer, by decompressing the matrices once. Exit functions are those of `GlossyShader`.
-    Made by `torchprt.shader(transfer)`; `learn` may name "representatives", "specular", "albedo", "diffuse".
+    one eye are where clusters gain least; `fix_eye` makes the vectors of that eye, as large as those of diffuse
+    transfer, by decompressing the matrices once. Else as the shader of the kind that was compressed; `learn` may name
+    "representatives" in place of "matrix".
     Source: Sloan, Hall, Hart and Snyder 2003, section 6.
     """
 
-    representatives: Tensor
-    rows: Tensor
-    weights: Tensor
-
-    def __init__(
-        self, transfer: ClusteredGlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-    ):
-        dtype = dtype or torch.promote_types(transfer.mean.dtype, transfer.diffuse.dtype)
-        dtype = torch.promote_types(dtype, torch.float32)
-        super().__init__(transfer, dtype, learn, {"representatives": torch.cat([transfer.mean, transfer.basis])})
-        rows, weights = blend(transfer, dtype)
-        lost = transfer.normals[transfer.glossy.long()].abs().amax(-1) == 0
-        self.register_buffer("rows", rows)
-        self.register_buffer("weights", weights.masked_fill(lost[:, None], 0))
-        self.output_order = transfer.output_order
-        self.projection = transfer.projection
-
-    def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
-        """The exit functions of the local unit directions toward the eye."""
-        return exit_functions(local, self.output_order, self.projection)
+    blend: Blend
 
     def vectors(self, values: Float[Tensor, "P G M"]) -> Float[Tensor, "C P N G"]:
         """Transfer vectors of the glossy layer for P eyes, from the matrices, which are decompressed for it."""
-        table = self.representatives.flatten(1)
-        matrix = embedding_bag(self.rows, table, mode="sum", per_sample_weights=self.weights)
-        return matrix_vectors(matrix.unflatten(1, self.representatives.shape[1:]).transpose(0, 1), values)
+        return matrix_vectors(self.blend.signal().transpose(0, 1), values)
 
     def coefficients(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         """Exit coefficients under lights of the world, without specular."""
         batch = light.shape[:-2]
-        total, channels, rows, columns = self.representatives.shape
-        lights = light.movedim(-1, 0).reshape(channels, 3 // channels * math.prod(batch), columns)
-        sent = lights @ self.representatives.transpose(0, 1).reshape(channels, total * rows, columns).mT
-        # `[3 B, R, M]` to one row a representative.
-        table = sent.reshape(3 * math.prod(batch), total, rows).transpose(0, 1).flatten(1)
-        found = embedding_bag(self.rows, table, mode="sum", per_sample_weights=self.weights)
-        return found.mT.reshape(3, *batch, rows, len(self.rows)).movedim(0, -3)
+        found = self.blend(self.blend.sent(lambda signal: _exits(signal, light)))
+        return found.mT.reshape(3, *batch, self.blend.shared.shape[-2], len(found)).movedim(0, -3)
 
     def _glossy_layer(self, light: Tensor, values: Tensor) -> Tensor:
         radiance = (self.coefficients(light) * values.mT.unsqueeze(-3)).sum(-2)
         return radiance * self.specular.T
 
 
-def blend(
-    transfer: ClusteredTransfer | ClusteredGlossyTransfer, dtype: torch.dtype
-) -> tuple[Tensor, Float[Tensor, "V R"]]:
-    """For every receiver the rows of its representatives among means, then PCA vectors, and their weights: the mean
-    with 1, then as many vectors as its cluster has; weight 0 after them. Indices are int32, as for `embedding_bag`."""
-    label, offsets = transfer.label.long(), transfer.offsets.long()
-    place = torch.arange(transfer.weights.shape[1], device=label.device)
-    real = place < offsets.diff()[label][:, None]
-    vectors = torch.where(real, len(transfer.mean) + offsets[label][:, None] + place, label[:, None])
-    rows = torch.cat([label[:, None], vectors], 1).to(torch.int32)
-    weights = torch.where(real, transfer.weights, 0).to(dtype)
-    return rows, torch.cat([weights.new_ones(len(label), 1), weights], 1)
+class ClusteredGlossyShader(ClusteredMatrix, GlossyShader):
+    """Exit radiance of `ClusteredGlossyTransfer`: `GlossyShader` with its matrices as in `ClusteredMatrix`."""
+
+    def __init__(
+        self, transfer: ClusteredGlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+    ):
+        _start(self, transfer, dtype, learn, {})
+        self.output_order = transfer.output_order
+        self.projection = transfer.projection
+
+
+class ClusteredFactoredShader(ClusteredMatrix, FactoredShader):
+    """Exit radiance of `ClusteredFactoredTransfer`: `FactoredShader` with its matrices as in `ClusteredMatrix`."""
+
+    def __init__(
+        self,
+        transfer: ClusteredFactoredTransfer,
+        *,
+        dtype: torch.dtype | None = None,
+        learn: Iterable[str] = (),
+        views: Callable[[Tensor], Tensor] | None = None,
+    ):
+        _start(self, transfer, dtype, learn, {"factors": transfer.factors})
+        self.views = views
+
+
+class ClusteredIncidentShader(ClusteredMatrix, IncidentShader):
+    """Exit radiance of `ClusteredIncidentTransfer`: `IncidentShader` with its matrices as in `ClusteredMatrix`."""
+
+    def __init__(
+        self,
+        transfer: ClusteredIncidentTransfer,
+        exponent: float | int | Tensor | None = None,
+        *,
+        brdf: Brdf | None = None,
+        dtype: torch.dtype | None = None,
+        learn: Iterable[str] = (),
+    ):
+        lobe = self.lobe(transfer, exponent, brdf)
+        _start(self, transfer, dtype, learn, {} if lobe is None else {"exponent": lobe})
+        self.reflect(transfer, brdf)
+
+
+class ClusteredVisibilityShader(VisibilityShader):
+    """Exit radiance of `ClusteredVisibilityTransfer`: `VisibilityShader` whose visibility is blended when it is used.
+
+    `learn` may name "representatives" in place of "visibility".
+    """
+
+    blend: Blend
+
+    def __init__(
+        self, transfer: ClusteredVisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+    ):
+        _start(self, transfer, dtype, learn, {"kernel": transfer.kernel})
+        self.tabulate(transfer.degree, transfer.visibility_order, transfer.output_order, transfer.projection)
+
+    def _seen(self) -> Tensor:
+        return self.blend(self.blend.sent(lambda signal: signal @ self.functions.mT))
+
+
+def _start(
+    shader: ViewShader,
+    transfer: CompressedTransfer,
+    dtype: torch.dtype | None,
+    learn: Iterable[str],
+    tensors: dict[str, Tensor],
+) -> None:
+    """The part of `ViewShader` and the blend of representatives, which `learn` may name."""
+    assert not isinstance(transfer, ClusteredTransfer)
+    learn = (learn,) if isinstance(learn, str) else tuple(learn)
+    dtype = dtype or torch.promote_types(
+        torch.promote_types(transfer.mean.dtype, transfer.diffuse.dtype), torch.float32
+    )
+    others = [name for name in learn if name != "representatives"]
+    ViewShader.__init__(shader, transfer, dtype, others, tensors, "representatives")
+    lost = transfer.normals[transfer.glossy.long()].abs().amax(-1) == 0
+    shader.blend = Blend(transfer, dtype, "representatives" in learn, lost)
+
+
+def _exits(signal: Float[Tensor, "R C M N"], light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "R D"]:
+    """Exit coefficients `3 B M` of every row of `signal` under all lights."""
+    total, channels, rows, columns = signal.shape
+    many = math.prod(light.shape[:-2])
+    lights = light.movedim(-1, 0).reshape(channels, 3 // channels * many, columns)
+    found = lights @ signal.transpose(0, 1).reshape(channels, total * rows, columns).mT
+    return found.reshape(3 * many, total, rows).transpose(0, 1).flatten(1)

@@ -14,7 +14,7 @@ from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
 from torchprt.shade.glossy import MatrixShader
 from torchprt.shade.view import with_normals
-from torchprt.transfer import GlossyTransfer, IncidentTransfer
+from torchprt.transfer import ClusteredIncidentTransfer, GlossyTransfer, IncidentTransfer
 
 _EXPONENT = 40.0
 _CHUNK = 4096
@@ -52,29 +52,50 @@ class IncidentShader(MatrixShader):
         dtype: torch.dtype | None = None,
         learn: Iterable[str] = (),
     ):
-        if exponent is not None and brdf is not None:
-            raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
+        lobe = self.lobe(transfer, exponent, brdf)
         tensors = {"matrix": with_normals(transfer, transfer.matrix)}
-        device = transfer.matrix.device
-        if brdf is None:
-            value = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
-            if value.shape not in ((), (1,), (len(transfer.glossy),)):
-                raise InputError(
-                    f"exponent has shape {list(value.shape)}: give one, or one for each of the "
-                    f"{len(transfer.glossy)} glossy receivers"
-                )
-            if not bool((value.isfinite() & (value >= 0)).all()):
-                raise InputError("exponent must be finite and zero or more")
-            tensors["exponent"] = value
-        super().__init__(transfer, dtype, learn, tensors)
+        super().__init__(transfer, dtype, learn, tensors if lobe is None else {**tensors, "exponent": lobe})
+        self.reflect(transfer, brdf, output_order, projection)
+
+    @staticmethod
+    def lobe(
+        transfer: IncidentTransfer | ClusteredIncidentTransfer,
+        exponent: float | int | Tensor | None,
+        brdf: Brdf | None,
+    ) -> Tensor | None:
+        """The exponent that is meant, None if it is a BRDF; InputError as the class."""
+        if brdf is not None:
+            if exponent is not None:
+                raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
+            return None
+        device = transfer.positions.device
+        value = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
+        if value.shape not in ((), (1,), (len(transfer.glossy),)):
+            raise InputError(
+                f"exponent has shape {list(value.shape)}: give one, or one for each of the "
+                f"{len(transfer.glossy)} glossy receivers"
+            )
+        if not bool((value.isfinite() & (value >= 0)).all()):
+            raise InputError("exponent must be finite and zero or more")
+        return value
+
+    def reflect(
+        self,
+        transfer: IncidentTransfer | ClusteredIncidentTransfer,
+        brdf: Brdf | None,
+        output_order: int | None = None,
+        projection: Projection = "optimal",
+    ) -> None:
+        """The constants of the lobe or of `brdf`."""
         self.incident_order = transfer.output_order
         self.output_order = output_order or transfer.output_order
         self.projection = projection
+        device = self.specular.device
         if brdf is None:
             self.register_buffer("band", bands(self.incident_order).to(device), persistent=False)
         else:
             chain = exit_chain(brdf, self.output_order, self.incident_order, projection)
-            self.register_buffer("chain", chain.to(device, self.matrix.dtype))
+            self.register_buffer("chain", chain.to(device, self.specular.dtype))
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """What the SH coefficients of transferred incident radiance are weighted with, for these views."""

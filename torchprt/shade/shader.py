@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TypeAlias, overload
 
 import torch
@@ -10,25 +10,49 @@ from torch import Tensor
 
 from torchprt.brdf import Brdf
 from torchprt.errors import InputError
-from torchprt.shade.clustered import ClusteredGlossyShader, ClusteredShader
+from torchprt.shade.clustered import (
+    ClusteredFactoredShader,
+    ClusteredGlossyShader,
+    ClusteredIncidentShader,
+    ClusteredShader,
+    ClusteredVisibilityShader,
+)
+from torchprt.shade.deformable import DeformableShader
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.glossy import FactoredShader, GlossyShader
 from torchprt.shade.incident import IncidentShader
 from torchprt.shade.visibility import VisibilityShader
 from torchprt.transfer import (
+    ClusteredFactoredTransfer,
     ClusteredGlossyTransfer,
+    ClusteredIncidentTransfer,
     ClusteredTransfer,
+    ClusteredVisibilityTransfer,
     DiffuseTransfer,
     FactoredTransfer,
     GlossyTransfer,
     IncidentTransfer,
     Transfer,
     VisibilityTransfer,
+    ZonalTransfer,
 )
 
 Shader: TypeAlias = (
-    DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader | ClusteredGlossyShader
+    DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader | DeformableShader
 )
+
+# The kinds that leave nothing to be chosen.
+_SHADERS: dict[type[Transfer], Callable[..., Shader]] = {
+    DiffuseTransfer: DiffuseShader,
+    GlossyTransfer: GlossyShader,
+    FactoredTransfer: FactoredShader,
+    VisibilityTransfer: VisibilityShader,
+    ClusteredTransfer: ClusteredShader,
+    ClusteredGlossyTransfer: ClusteredGlossyShader,
+    ClusteredFactoredTransfer: ClusteredFactoredShader,
+    ClusteredVisibilityTransfer: ClusteredVisibilityShader,
+    ZonalTransfer: DeformableShader,
+}
 
 
 @overload
@@ -58,12 +82,33 @@ def shader(
 ) -> VisibilityShader: ...
 @overload
 def shader(
+    transfer: ClusteredIncidentTransfer,
+    *,
+    dtype: torch.dtype | None = None,
+    learn: Iterable[str] = (),
+    exponent: float | int | Tensor | None = None,
+    brdf: Brdf | None = None,
+) -> ClusteredIncidentShader: ...
+@overload
+def shader(
+    transfer: ClusteredFactoredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> ClusteredFactoredShader: ...
+@overload
+def shader(
+    transfer: ClusteredVisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> ClusteredVisibilityShader: ...
+@overload
+def shader(
     transfer: ClusteredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
 ) -> ClusteredShader: ...
 @overload
 def shader(
     transfer: ClusteredGlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
 ) -> ClusteredGlossyShader: ...
+@overload
+def shader(
+    transfer: ZonalTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> DeformableShader: ...
 @overload
 def shader(
     transfer: Transfer,
@@ -88,19 +133,11 @@ def shader(
     neither is given) or `brdf`.
     Raises InputError for a name that cannot be learned, or a reflectance for another kind of transfer.
     """
+    if isinstance(transfer, ClusteredIncidentTransfer):
+        return ClusteredIncidentShader(transfer, exponent, brdf=brdf, dtype=dtype, learn=learn)
     if isinstance(transfer, IncidentTransfer):
         return IncidentShader(transfer, exponent, brdf=brdf, dtype=dtype, learn=learn)
     for name, value in (("exponent", exponent), ("brdf", brdf)):
         if value is not None:
             raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' has its reflectance baked in")
-    if isinstance(transfer, GlossyTransfer):
-        return GlossyShader(transfer, dtype=dtype, learn=learn)
-    if isinstance(transfer, FactoredTransfer):
-        return FactoredShader(transfer, dtype=dtype, learn=learn)
-    if isinstance(transfer, VisibilityTransfer):
-        return VisibilityShader(transfer, dtype=dtype, learn=learn)
-    if isinstance(transfer, ClusteredTransfer):
-        return ClusteredShader(transfer, dtype=dtype, learn=learn)
-    if isinstance(transfer, ClusteredGlossyTransfer):
-        return ClusteredGlossyShader(transfer, dtype=dtype, learn=learn)
-    return DiffuseShader(transfer, dtype=dtype, learn=learn)
+    return _SHADERS[type(transfer)](transfer, dtype=dtype, learn=learn)

@@ -16,7 +16,10 @@ from torchprt.shade.diffuse import DiffuseShader, turned_light
 from torchprt.shade.eye import local_frames, local_views, toward_eye
 from torchprt.shade.fixed import FixedEyeShader, FixedLightShader
 from torchprt.transfer import (
+    ClusteredFactoredTransfer,
     ClusteredGlossyTransfer,
+    ClusteredIncidentTransfer,
+    ClusteredVisibilityTransfer,
     DiffuseTransfer,
     FactoredTransfer,
     GlossyTransfer,
@@ -24,7 +27,16 @@ from torchprt.transfer import (
     VisibilityTransfer,
 )
 
-ViewTransfer = GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer | ClusteredGlossyTransfer
+ViewTransfer = (
+    GlossyTransfer
+    | FactoredTransfer
+    | IncidentTransfer
+    | VisibilityTransfer
+    | ClusteredGlossyTransfer
+    | ClusteredFactoredTransfer
+    | ClusteredIncidentTransfer
+    | ClusteredVisibilityTransfer
+)
 
 
 class ViewShader(nn.Module, abc.ABC):
@@ -57,15 +69,19 @@ class ViewShader(nn.Module, abc.ABC):
         dtype: torch.dtype | None,
         learn: Iterable[str],
         tensors: dict[str, Tensor],
+        *also: str,
     ):
-        """`tensors`: what the subclass holds, by name; receivers without a normal are already zero in them."""
+        """`tensors`: what the subclass holds, by name; receivers without a normal are already zero in them.
+
+        `also`: what else can be learned, which the subclass sees to; not in `learn`.
+        """
         super().__init__()
         learn = (learn,) if isinstance(learn, str) else tuple(learn)
         tensors = {**tensors, "specular": transfer.specular}
         known = [*tensors, "albedo", "diffuse"] if transfer.diffuse.shape[2] else list(tensors)
         unknown = sorted(set(learn) - set(known))
         if unknown:
-            names = ", ".join(f"'{name}'" for name in sorted(known))
+            names = ", ".join(f"'{name}'" for name in sorted([*known, *also]))
             raise InputError(f"learn names '{unknown[0]}': a shader of {transfer.kind} transfer can learn {names}")
         baked = sorted({"albedo", "specular"} & set(learn))
         if baked and transfer.bounces > 0:

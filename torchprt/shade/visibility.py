@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.sh import basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
+from torchprt.sh import Projection, basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
 from torchprt.shade.view import ViewShader, with_normals
 from torchprt.transfer import VisibilityTransfer
 
@@ -32,13 +32,14 @@ class VisibilityShader(ViewShader):
     def __init__(self, transfer: VisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()):
         visibility = with_normals(transfer, transfer.visibility)
         super().__init__(transfer, dtype, learn, {"visibility": visibility, "kernel": transfer.kernel})
-        self.output_order = transfer.output_order
-        self.projection = transfer.projection
-        nodes, _ = gauss_legendre_hemisphere(transfer.degree)
-        tables = {
-            "functions": hemisphere_basis(nodes, transfer.visibility_order),
-            "harmonics": basis(nodes, transfer.order),
-        }
+        self.tabulate(transfer.degree, transfer.visibility_order, transfer.output_order, transfer.projection)
+
+    def tabulate(self, degree: int, visibility_order: int, output_order: int, projection: Projection) -> None:
+        """The functions at the nodes of the rule."""
+        self.output_order = output_order
+        self.projection = projection
+        nodes, _ = gauss_legendre_hemisphere(degree)
+        tables = {"functions": hemisphere_basis(nodes, visibility_order), "harmonics": basis(nodes, self.order)}
         for name, table in tables.items():
             self.register_buffer(name, table.to(self.kernel).contiguous(), persistent=False)
 

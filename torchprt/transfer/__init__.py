@@ -1,7 +1,10 @@
 """What a bake leaves: the kinds of transfer and one file format."""
 
+from .clustered import ClusteredFactoredTransfer as ClusteredFactoredTransfer
 from .clustered import ClusteredGlossyTransfer as ClusteredGlossyTransfer
+from .clustered import ClusteredIncidentTransfer as ClusteredIncidentTransfer
 from .clustered import ClusteredTransfer as ClusteredTransfer
+from .clustered import ClusteredVisibilityTransfer as ClusteredVisibilityTransfer
 from .diffuse import DiffuseTransfer as DiffuseTransfer
 from .file import FORMAT as FORMAT
 from .file import load as load
@@ -11,6 +14,7 @@ from .glossy import GlossyTransfer as GlossyTransfer
 from .glossy import IncidentTransfer as IncidentTransfer
 from .glossy import VisibilityTransfer as VisibilityTransfer
 from .kinds import BakedTransfer as BakedTransfer
+from .kinds import CompressedTransfer as CompressedTransfer
 from .kinds import Transfer as Transfer
 from .zonal import ZonalTransfer as ZonalTransfer
 from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
@@ -18,8 +22,12 @@ from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
 __all__ = [
     "FORMAT",
     "BakedTransfer",
+    "ClusteredFactoredTransfer",
     "ClusteredGlossyTransfer",
+    "ClusteredIncidentTransfer",
     "ClusteredTransfer",
+    "ClusteredVisibilityTransfer",
+    "CompressedTransfer",
     "DiffuseTransfer",
     "FactoredTransfer",
     "GlossyTransfer",

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from torchprt.transfer.clustered import ClusteredGlossyTransfer, ClusteredTransfer
+from torchprt.transfer.clustered import (
+    ClusteredFactoredTransfer,
+    ClusteredGlossyTransfer,
+    ClusteredIncidentTransfer,
+    ClusteredTransfer,
+    ClusteredVisibilityTransfer,
+)
 from torchprt.transfer.diffuse import DiffuseTransfer
 from torchprt.transfer.glossy import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
 from torchprt.transfer.zonal import ZonalTransfer
 from torchprt.transfer.zonal_factored import ZonalFactoredTransfer
 
 BakedTransfer: TypeAlias = DiffuseTransfer | GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
-Transfer: TypeAlias = (
-    BakedTransfer | ClusteredTransfer | ClusteredGlossyTransfer | ZonalTransfer | ZonalFactoredTransfer
+CompressedTransfer: TypeAlias = (
+    ClusteredTransfer
+    | ClusteredGlossyTransfer
+    | ClusteredFactoredTransfer
+    | ClusteredIncidentTransfer
+    | ClusteredVisibilityTransfer
 )
+Transfer: TypeAlias = BakedTransfer | CompressedTransfer | ZonalTransfer | ZonalFactoredTransfer
 
 KINDS: dict[str, type[Transfer]] = {
     kind.kind: kind
@@ -25,6 +36,9 @@ KINDS: dict[str, type[Transfer]] = {
         VisibilityTransfer,
         ClusteredTransfer,
         ClusteredGlossyTransfer,
+        ClusteredFactoredTransfer,
+        ClusteredIncidentTransfer,
+        ClusteredVisibilityTransfer,
         ZonalTransfer,
         ZonalFactoredTransfer,
     )
