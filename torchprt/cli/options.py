@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from torchprt.brdf import Brdf
     from torchprt.scene import Material
+    from torchprt.transfer import Transfer
 
 # Edge of a picture in pixels: its rays take 200 bytes each.
 LARGEST = 4096
@@ -81,6 +82,23 @@ def gloss(text: str) -> Brdf:
     if read is None or read.brdf is None:
         raise InputError(f"--material is '{text}', which has no gloss: give one, as phong:40 or ggx:0.3")
     return read.brdf
+
+
+def gloss_of(transfer: Transfer, material: str | None) -> Any:
+    """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
+    from torchprt.transfer import IncidentTransfer
+
+    if not isinstance(transfer, IncidentTransfer):
+        if material is not None:
+            raise InputError(f"--material is given, but the reflectance of {transfer.kind} transfer is baked in")
+        return None
+    if material is None:
+        raise InputError("incident transfer leaves the reflectance open: give --material, as phong:40 or ggx:0.3")
+    from torchprt.brdf import exit_error
+
+    brdf, order = gloss(material), transfer.output_order
+    say(f"exit functions of order {order} hold {brdf.spec} to {exit_error(brdf, order, order):.2%}")
+    return brdf
 
 
 def factors(text: str | None) -> int | float | None:

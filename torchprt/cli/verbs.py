@@ -7,7 +7,7 @@ import math
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -169,7 +169,7 @@ def shade(
     if output.suffix.lower() == ".png":
         framed = preview.frame(loaded.positions, side, aspect=width / height)
         still = preview.Still(loaded.positions, loaded.faces, size=(width, height), camera=framed)
-    chosen, seen = _gloss_of(loaded, material), _eye_of(loaded, seen, framed)
+    chosen, seen = options.gloss_of(loaded, material), _eye_of(loaded, seen, framed)
     coefficients = options.windowed(options.light(light, loaded.order, repair), window)
     with torch.no_grad():
         radiance = prt.shader(loaded, brdf=chosen)(coefficients, turn, **seen).float()
@@ -289,7 +289,7 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
-    chosen = _gloss_of(loaded, material)
+    chosen = options.gloss_of(loaded, material)
     if isinstance(loaded, prt.transfer.IncidentTransfer) and chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
@@ -353,23 +353,6 @@ def demo(
     from torchprt.demo import run
 
     run(output, say)
-
-
-def _gloss_of(transfer: Transfer, material: str | None) -> Any:
-    """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
-    from torchprt.transfer import IncidentTransfer
-
-    if not isinstance(transfer, IncidentTransfer):
-        if material is not None:
-            raise InputError(f"--material is given, but the reflectance of {transfer.kind} transfer is baked in")
-        return None
-    if material is None:
-        raise InputError("incident transfer leaves the reflectance open: give --material, as phong:40 or ggx:0.3")
-    from torchprt.brdf import exit_error
-
-    brdf, order = options.gloss(material), transfer.output_order
-    say(f"exit functions of order {order} hold {brdf.spec} to {exit_error(brdf, order, order):.2%}")
-    return brdf
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:
