@@ -18,6 +18,10 @@ from .kinds import CompressedTransfer as CompressedTransfer
 from .kinds import Transfer as Transfer
 from .zonal import ZonalTransfer as ZonalTransfer
 from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
+from .zonal_map import ZonalMap as ZonalMap
+from .zonal_map import load_map as load_map
+from .zonal_map import save_map as save_map
+from .zonal_map import zonal_map as zonal_map
 
 __all__ = [
     "FORMAT",
@@ -35,7 +39,11 @@ __all__ = [
     "Transfer",
     "VisibilityTransfer",
     "ZonalFactoredTransfer",
+    "ZonalMap",
     "ZonalTransfer",
     "load",
+    "load_map",
     "save",
+    "save_map",
+    "zonal_map",
 ]
