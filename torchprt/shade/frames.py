@@ -113,6 +113,9 @@ class DeformedFrames(nn.Module):
                 f"positions have shape {list(posed.shape)}: the rest pose has {self.vertices} vertices, give "
                 f"[..., {self.vertices}, 3]"
             )
+        identity = torch.eye(3, dtype=posed.dtype, device=posed.device).reshape(3, 3, *(1,) * (posed.ndim - 1))
+        if not len(self.faces):
+            return identity.expand(3, 3, *posed.shape[:-1]).movedim((0, 1), (-2, -1))
         # Rest tangent, bitangent and normal beside poses of any batch, `[3, 3, *1, V]`.
         basis = self.basis.to(posed.dtype).reshape(3, 3, *(1,) * (posed.ndim - 2), self.vertices)
         tangent, bitangent, _ = basis.unbind(0)
@@ -130,7 +133,6 @@ class DeformedFrames(nn.Module):
         turned = torch.where(has_direction, turned, kept)
         image = torch.stack([turned, _cross(deformed, turned), deformed], 1)
         frames = torch.stack([(row.unsqueeze(1) * basis).sum(0) for row in image.unbind(0)])
-        identity = torch.eye(3, dtype=posed.dtype, device=posed.device).reshape(3, 3, *(1,) * (posed.ndim - 1))
         return torch.where(has_normal & ~self.still, frames, identity).movedim((0, 1), (-2, -1))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -74,7 +73,7 @@ class SkinnedMesh(nn.Module):
         count = self.weights.shape[1]
         if transforms.shape[-3:] != (count, 4, 4):
             raise InputError(
-                f"transforms have shape {list(transforms.shape)}: the mesh has {count} joints, give [..., {count}, 4, 4]"
+                f"transforms have shape {list(transforms.shape)}: there are {count} joints, give [..., {count}, 4, 4]"
             )
         if values_are_at_hand():
             bottom = transforms.new_tensor([0.0, 0.0, 0.0, 1.0])

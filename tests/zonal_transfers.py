@@ -1,0 +1,78 @@
+"""Random zonal transfer, and what its shading is by definition."""
+
+import torch
+from torch.nn.functional import normalize
+
+from torchprt import sh
+from torchprt.sh import yaw_pitch_roll
+from torchprt.transfer import ZonalTransfer
+
+
+def random_zonal(
+    side=3, lobes=4, order=4, channels=1, exact=True, albedo=("V", 3), dtype=torch.float32, seed=0, **metadata
+):
+    """Zonal transfer on a bumpy square grid of `side`^2 vertices, in which every receiver has its own lobes."""
+    generator = torch.Generator().manual_seed(seed)
+    wide = dtype if dtype == torch.float64 else torch.float32
+    vertices = side * side
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    positions, faces = bumpy(side, seed)
+    rows = vertices if albedo[0] == "V" else albedo[0]
+    bands = order - 2 if exact else order
+    return ZonalTransfer(
+        axis=normalize(normal(lobes, 3, vertices), dim=1).to(dtype),
+        coefficients=normal(channels, lobes, bands, vertices).to(dtype),
+        exact=normal(channels, 4 if exact else 0, vertices).to(dtype),
+        squared_error=torch.rand(vertices, generator=generator, dtype=wide),
+        albedo=0.1 + 0.8 * torch.rand(rows, albedo[1], generator=generator, dtype=wide),
+        positions=positions.to(wide),
+        normals=normalize(normal(vertices, 3), dim=1).to(wide),
+        faces=faces,
+        **metadata,
+    )
+
+
+def bumpy(side, seed=0):
+    """Positions [side^2, 3] in float64 and faces of a square that is neither flat nor regular, facing +y."""
+    generator = torch.Generator().manual_seed(seed)
+    ticks = torch.linspace(-1, 1, side, dtype=torch.float64)
+    x, z = torch.meshgrid(ticks, ticks, indexing="ij")
+    flat = torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3)
+    bumps = torch.rand(side * side, 3, generator=generator, dtype=torch.float64) - 0.5
+    corner = (torch.arange(max(side - 1, 0))[:, None] * side + torch.arange(max(side - 1, 0))).reshape(-1)
+    a, b, c, d = corner, corner + 1, corner + side + 1, corner + side
+    faces = torch.cat([torch.stack([a, b, c], -1), torch.stack([a, c, d], -1)])
+    return flat + bumps * (0.6 / max(side, 1)), faces
+
+
+def turns(*batch, dtype=torch.float32, seed=0):
+    """Random rotations [*batch, 3, 3]."""
+    degrees = 360 * torch.rand(*batch, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return yaw_pitch_roll(degrees).to(dtype)
+
+
+def vectors_by_definition(transfer, frames=None):
+    """Transfer vectors [C, N, V] in float64, a receiver and a lobe after the other; `frames [V, 3, 3]`."""
+    order, first = transfer.order, 2 if transfer.exact.shape[1] else 0
+    band = sh.bands(order)
+    vectors = torch.zeros(transfer.channels, order**2, transfer.vertices, dtype=torch.float64)
+    for v in range(transfer.vertices):
+        turn = torch.eye(3, dtype=torch.float64) if frames is None else frames[v].double()
+        for k in range(transfer.lobes):
+            values = sh.basis(turn @ transfer.axis[k, :, v].double(), order)
+            weights = torch.zeros(transfer.channels, order, dtype=torch.float64)
+            weights[:, first:] = transfer.coefficients[:, k, :, v].double()
+            vectors[:, :, v] += values * weights[:, band]
+        if first:
+            low = sh.rotate(transfer.exact[:, :, v].double().T, turn).T
+            vectors[:, :4, v] += low
+    return vectors
+
+
+def by_definition(transfer, light, frames=None):
+    """Exit radiance [V, 3] under one light in one pose, in float64."""
+    vectors = vectors_by_definition(transfer, frames).expand(3, -1, -1)
+    return transfer.albedo.double() * torch.einsum("cnv,nc->vc", vectors, light.double())
