@@ -12,8 +12,8 @@ from torchprt.cli.report import say
 from torchprt.errors import InputError
 
 if TYPE_CHECKING:
+    from torchprt.preview import Environment
     from torchprt.transfer import Transfer
-    from torchprt.web import Environment
 
 
 def refuse(given: Mapping[str, Any], written: str) -> None:
@@ -48,8 +48,10 @@ def mesh(transfer: Transfer, path: Path, order: int | None) -> None:
 
 
 def _environment(path: Path, order: int) -> Environment:
-    from torchprt import light, web
+    from torchprt import light
+    from torchprt.preview.environment import Environment
 
     if path.suffix.lower() == ".npy":
-        return web.from_coefficients(path.stem, light.read_coefficients(path, order))
-    return web.from_image(path.stem, options.environment(path, repair=False), order)
+        return Environment(path.stem, light.read_coefficients(path, order))
+    image = options.environment(path, repair=False)
+    return Environment(path.stem, light.project(image, order), image)

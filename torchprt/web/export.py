@@ -19,11 +19,13 @@ from torch import Tensor
 from torchprt import onnx, preview
 from torchprt.compress import decompress
 from torchprt.errors import InputError
+from torchprt.preview.environment import Environment
+from torchprt.preview.modes import reflectance
 from torchprt.shade import shader
 from torchprt.transfer import DiffuseTransfer
 from torchprt.transfer.kinds import BakedTransfer, CompressedTransfer, Transfer
 from torchprt.version import VERSION
-from torchprt.web.environment import Environment, as_json, luminance, samples, shown
+from torchprt.web.environment import as_json, luminance, of_order, samples, shown
 from torchprt.web.libraries import libraries
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
@@ -81,9 +83,7 @@ def export(
     lights = samples(full.order) if environments is None else list(environments)
     if not lights:
         raise InputError("a page needs a light: give one environment or more")
-    for each in lights:
-        if len(each.coefficients) != full.order**2:
-            raise InputError(f"{each.name} has {len(each.coefficients)} coefficients: project it to order {full.order}")
+    coefficients = torch.stack([of_order(each, full.order) for each in lights])
     foreign = libraries()
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
@@ -93,13 +93,16 @@ def export(
         report = onnx.export(full, made / "model.onnx", check=check)
         if packed is not None:
             onnx.export(packed, made / "compressed.onnx", check=check)
-        preview.save_glb(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_albedo(full))
+        preview.save_glb(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full))
         camera = preview.frame(full.positions, aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
-        stops = _exposures(full, lights, camera.eye)
+        stops = _exposures(full, coefficients, camera.eye)
         about = _about(full, transfer, compressed, title) | {
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
-            "environments": [as_json(*each) for each in zip(lights, pictures, stops, strict=True)],
+            "environments": [
+                as_json(each, full.order, picture, exposure)
+                for each, picture, exposure in zip(lights, pictures, stops, strict=True)
+            ],
         }
         about["download"] = sum(
             (made / name).stat().st_size
@@ -136,12 +139,17 @@ def _check_same(full: BakedTransfer, packed: BakedTransfer) -> None:
         raise InputError("the compressed transfer is of another bake: give what `torchprt compress` made of this one")
 
 
-def _albedo(transfer: BakedTransfer) -> Tensor:
-    """What stands for the surface where there is no transfer, `[V, 3]`: all that it reflects, black without normal."""
-    albedo = transfer.albedo.float().expand(transfer.vertices, 3).clone()
-    if not isinstance(transfer, DiffuseTransfer):
-        albedo[transfer.glossy.long()] += transfer.specular.float().expand(len(transfer.glossy), 3)
-    return torch.where(transfer.normals.abs().sum(-1, keepdim=True) > 0, albedo.clamp(max=1), 0.0)
+def _reflectance(transfer: BakedTransfer) -> Tensor:
+    """What stands for the surface where there is no transfer, `[V, 3]`: black where there is no normal."""
+    return torch.where(transfer.normals.abs().sum(-1, keepdim=True) > 0, reflectance(transfer), 0.0)
+
+
+def _is_closed(positions: Tensor, faces: Tensor) -> bool:
+    """Whether two faces meet at every edge, vertices at one place counted as one."""
+    _, place = torch.unique(positions, dim=0, return_inverse=True)
+    corners = place[faces.long()]
+    edges = torch.cat([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]).sort(-1).values
+    return bool((torch.unique(edges, dim=0, return_counts=True)[1] == 2).all())
 
 
 def _picture(environment: Environment, folder: Path, index: int) -> str:
@@ -154,13 +162,12 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
     return name
 
 
-def _exposures(transfer: BakedTransfer, lights: Sequence[Environment], eye: tuple[float, float, float]) -> list[float]:
+def _exposures(transfer: BakedTransfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
     """Stops that bring the brighter parts of the model (95 of 100 vertices) below the shoulder of the tone map."""
-    stack = torch.stack([each.coefficients for each in lights])
     seen = {} if isinstance(transfer, DiffuseTransfer) else {"eye": torch.tensor(eye)}
     with torch.no_grad():
-        bright = luminance(shader(transfer)(stack, **seen).float()).quantile(0.95, dim=-1)
-    return [round(math.log2(0.5 / value), 2) if value > 1e-30 else 0.0 for value in bright.tolist()]
+        bright = luminance(shader(transfer)(light, **seen).float()).quantile(0.95, dim=-1)
+    return [round(math.log2(0.5 / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
 
 
 def _about(full: BakedTransfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
@@ -175,6 +182,7 @@ def _about(full: BakedTransfer, transfer: Transfer, compressed: Transfer | None,
         "vertices": full.vertices,
         "bytes": transfer.bytes,
         "glossy": not isinstance(full, DiffuseTransfer),
+        "closed": _is_closed(full.positions, full.faces),
         "full_scale": SHADOWS if compressed is None else COMPRESSION,
         "compressed": None,
     }

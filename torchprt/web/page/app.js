@@ -13,7 +13,7 @@ const AGAIN = "Write the page again with torchprt export --web, and copy the who
 class Viewer {
   constructor(about, mesh, model, compressed, pictures) {
     Object.assign(this, { about, mesh, model, compressed, pictures });
-    this.view = new View(at("canvas"), mesh.geometry, about.camera);
+    this.view = new View(at("canvas"), mesh.geometry, about);
     this.view.onchange = () => this.#draw();
     this.turn = new Quaternion();
     this.mode = "transfer";

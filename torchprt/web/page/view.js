@@ -14,7 +14,7 @@ const surface = () =>
     uniforms: { exposure: { value: 0 }, falseColour: { value: false } },
     vertexShader: /* glsl */ `
       attribute vec3 radiance;
-      varying vec3 shown;
+      centroid varying vec3 shown;
       void main() {
         shown = radiance;
         gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
@@ -22,7 +22,7 @@ const surface = () =>
     fragmentShader: /* glsl */ `
       uniform float exposure;
       uniform bool falseColour;
-      varying vec3 shown;
+      centroid varying vec3 shown; // not extrapolated at the edges of triangles
       ${DISPLAY}
       void main() {
         gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(filmic(shown * exp2(exposure))), 1.0);
@@ -87,7 +87,7 @@ export async function loadMesh(url) {
 }
 
 export class View {
-  constructor(canvas, geometry, camera) {
+  constructor(canvas, geometry, { camera, closed }) {
     this.canvas = canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -96,13 +96,13 @@ export class View {
     this.ball = geometry.boundingSphere;
     this.material = surface();
     this.geometry = geometry;
-    const front = new THREE.Mesh(geometry, this.material);
-    const back = new THREE.Mesh(geometry, reverse());
     this.sky = new THREE.Mesh(new THREE.SphereGeometry(1, 64, 32), surroundings());
     this.sky.frustumCulled = false;
     this.sky.renderOrder = -1;
     this.sky.visible = false;
-    this.scene = new THREE.Scene().add(this.sky, front, back);
+    this.scene = new THREE.Scene().add(this.sky, new THREE.Mesh(geometry, this.material));
+    // Of a closed surface no reverse is seen, but rounding at silhouettes would show it.
+    if (!closed) this.scene.add(new THREE.Mesh(geometry, reverse()));
     this.pictures = new Map();
     this.#place(camera);
     new ResizeObserver(() => this.resize()).observe(canvas);
