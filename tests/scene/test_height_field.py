@@ -43,7 +43,7 @@ def test_a_flat_field_is_the_unit_square_facing_the_eye():
     area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert bool((area[:, 2] > 0).all())
     assert float(area.sum()) == pytest.approx(2)
-    assert torch.equal(mesh.uv, mesh.positions[:, :2])
+    assert torch.equal(mesh.uv, corners[..., :2])
     assert bool((mesh.tangents == torch.tensor([1.0, 0.0, 0.0])).all())
 
 

@@ -37,8 +37,8 @@ class Mesh:
     tangents: Float64[Tensor, "V 3"] | None = None
     """Unit length, orthogonal to the normals: those of the file, or the direction of increasing u. Zero where neither
     says one; None if that is everywhere, or if the file has no texture coordinates."""
-    uv: Float64[Tensor, "V 2"] | None = None
-    """Texture coordinates; where charts meet, those of one of them. NaN where missing, None if that is everywhere."""
+    uv: Float64[Tensor, "F 3 2"] | None = None
+    """Texture coordinates of every corner of every face; NaN where there are none, None if that is everywhere."""
 
     @cached_property
     def tangent_field(self) -> Float64[Tensor, "V 3"]:
@@ -68,8 +68,8 @@ def make_mesh(
     from the faces (see `vertex_normals`). Colours are linear RGB.
 
     `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2]; rows that are not
-    finite are missing. They give the tangents, the directions of increasing u; a vertex keeps the pair of its first
-    corner. Given `tangents` come first where they are usable. Only the direction of the tangent is taken: where texture
+    finite are missing. They give the tangents, the directions of increasing u. Given `tangents` come first where they are
+    usable. Only the direction of the tangent is taken: where texture
     coordinates are mirrored, the bitangent is still normal x tangent.
 
     Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
@@ -102,7 +102,7 @@ def make_mesh(
         name=name,
         report=report,
         tangents=torch.from_numpy(directions) if usable and directions is not None else None,
-        uv=None if pairs is None else _vertex_uv(pairs, triangles, len(points)),
+        uv=None if pairs is None or not np.isfinite(pairs).any() else torch.from_numpy(pairs),
     )
 
 
@@ -141,19 +141,6 @@ def _corner_uv(
             f"{len(faces)} faces: give [V, 2] or [F, 3, 2]"
         )
     return pairs
-
-
-def _vertex_uv(
-    pairs: Float[np.ndarray, "F 3 2"], faces: Int[np.ndarray, "F 3"], vertices: int
-) -> Float64[Tensor, "V 2"] | None:
-    """The pair of the first usable corner at each vertex; None if no corner has any."""
-    usable = np.isfinite(pairs).all(-1).reshape(-1)
-    if not usable.any():
-        return None
-    corners, first = np.unique(faces.reshape(-1)[usable], return_index=True)
-    uv = np.full((vertices, 2), np.nan)
-    uv[corners] = pairs.reshape(-1, 2)[usable][first]
-    return torch.from_numpy(uv)
 
 
 def _numpy(values: Array, dtype: type) -> np.ndarray:

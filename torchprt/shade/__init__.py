@@ -21,6 +21,9 @@ from .glossy import GlossyShader as GlossyShader
 from .graph import EnvironmentShader as EnvironmentShader
 from .incident import IncidentShader as IncidentShader
 from .incident import with_material as with_material
+from .patch import lay as lay
+from .patch import sample as sample
+from .patch import surface_frames as surface_frames
 from .shader import Shader as Shader
 from .shader import shader as shader
 from .skin import SkinnedMesh as SkinnedMesh
@@ -50,8 +53,11 @@ __all__ = [
     "deformed_frames",
     "display",
     "filmic",
+    "lay",
     "nearest_rotation",
+    "sample",
     "shader",
     "srgb",
+    "surface_frames",
     "with_material",
 ]

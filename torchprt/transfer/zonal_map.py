@@ -27,8 +27,7 @@ class ZonalMap(Provenance):
 
     - `axis [L, 3, H, W]`: unit vectors; `coefficients [C, L, Z, H, W]`; `exact [C, J, H, W]`; `squared_error [H, W]`.
     - `albedo [1 or 3, H or 1, W or 1]`, in [0, 1].
-    - `tiles`: whether the patch goes on beyond u = 0 and 1, and beyond v = 0 and 1, by repeating itself; else its
-      border goes on.
+    - `tiles_u`, `tiles_v`: whether the patch repeats itself beyond 0 and 1; else its border goes on.
     - `smooth`: lobes of neighbouring texels correspond, so they are interpolated; else the nearest counts.
     - `fit_error`: RMS over all texels, relative to the transfer.
 
@@ -49,7 +48,8 @@ class ZonalMap(Provenance):
     exact: Tensor
     albedo: Tensor
     squared_error: Tensor
-    tiles: tuple[bool, bool] = (True, True)
+    tiles_u: bool = True
+    tiles_v: bool = True
     smooth: bool = False
     fit_error: float | None = None
 
@@ -60,9 +60,6 @@ class ZonalMap(Provenance):
         if not sizes["H"] or not sizes["W"]:
             raise InputError(f"map of the transfer has {sizes['H']} x {sizes['W']} texels: it must have 1 x 1 or more")
         lobe_order(sizes["Z"], sizes["J"])
-        # A file holds a list.
-        u, v = self.tiles
-        self.tiles = (bool(u), bool(v))
 
     @property
     def order(self) -> int:
@@ -108,11 +105,7 @@ class ZonalMap(Provenance):
 
 
 def zonal_map(
-    texels: ZonalTransfer,
-    rows: int,
-    columns: int,
-    *,
-    tiles: tuple[bool, bool] = (True, True),
+    texels: ZonalTransfer, rows: int, columns: int, *, tiles_u: bool = True, tiles_v: bool = True
 ) -> ZonalMap:
     """A map from the lobes of its texels, row after row.
 
@@ -129,7 +122,8 @@ def zonal_map(
         exact=texels.exact.unflatten(-1, shape),
         albedo=albedo.contiguous(),
         squared_error=texels.squared_error.unflatten(-1, shape),
-        tiles=tiles,
+        tiles_u=tiles_u,
+        tiles_v=tiles_v,
         smooth=texels.smooth,
         fit_error=texels.fit_error,
         **metadata,

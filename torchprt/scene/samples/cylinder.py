@@ -16,8 +16,8 @@ RADIUS, HEIGHT = 0.5, 3.0
 def cylinder(resolution: int = 64, albedo: Albedo = 0.6) -> Scene:
     """The wall of a cylinder of radius .5 and height 3 about +y, standing on y = 0, without lids.
 
-    2 `resolution` columns and as many rows. Texture coordinates: u around (counter-clockwise seen from above), v up,
-    both from 0 to 1; the first and the last column stand in one place and share their normals.
+    2 `resolution` columns around and as many rows of squares. Texture coordinates: u around (counter-clockwise seen
+    from above), v up, both from 0 to 1.
 
     Raises InputError if `resolution` is below 4.
     """
@@ -25,10 +25,12 @@ def cylinder(resolution: int = 64, albedo: Albedo = 0.6) -> Scene:
         raise InputError(f"resolution is {resolution}: give at least 4")
     n = 2 * resolution
     flat, faces = grid((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), n, n)
-    u, v = flat[:, 0], flat[:, 1]
-    # The last column is the first: rounding must not part them.
-    angle = 2 * np.pi * np.where(u == 1, 0.0, u)
-    out = np.stack([np.cos(angle), np.zeros_like(u), -np.sin(angle)], axis=1)
-    positions = RADIUS * out + HEIGHT * v[:, None] * np.array([0.0, 1.0, 0.0])
-    mesh = make_mesh(positions, faces, normals=out, name="cylinder", uv=np.stack([u, v], axis=1))
-    return Scene([Object(mesh, Material(albedo))])
+    uv = flat[faces][..., :2]
+    # The last column is the first.
+    row, column = np.divmod(np.arange(len(flat)), n + 1)
+    first = column < n
+    angle = 2 * np.pi * flat[first, 0]
+    out = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], axis=1)
+    positions = RADIUS * out + HEIGHT * flat[first, 1:2] * np.array([0.0, 1.0, 0.0])
+    faces = (row * n + column % n)[faces]
+    return Scene([Object(make_mesh(positions, faces, normals=out, name="cylinder", uv=uv), Material(albedo))])

@@ -1,0 +1,221 @@
+"""Texture patches of zonal lobes on surfaces: read through texture coordinates, turned by tangent frames."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from torchprt.errors import InputError
+from torchprt.shade.lobes import turned_axes, turned_exact
+from torchprt.transfer import ZonalMap, ZonalTransfer
+
+
+def lay(
+    patch: ZonalMap,
+    positions: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    uv: Float[Tensor, "..."] | None,
+    *,
+    repeat: float | int | tuple[float | int, float | int] = 1,
+    normals: Float[Tensor, "V 3"] | None = None,
+    frames: Float[Tensor, "frames 3 3"] | None = None,
+) -> ZonalTransfer:
+    """A surface covered with a patch, as transfer that `shade.DeformableShader` shades in every pose.
+
+    `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2] (`scene.Mesh.uv`); a
+    vertex of several charts takes the first. They are multiplied by `repeat` (of u, of v): so many patches lie side by
+    side from 0 to 1. Values come from `sample`, and `frames` turn them from the tangent frame to the surface:
+    `surface_frames(positions, faces, uv, normals)` if they are not given. Identity frames leave the lobes in the
+    tangent frame; the frames of a deformed surface then shade it just as well.
+
+    The surface is taken as flat at the size of the patch: its own shadows and its curvature are not in the result.
+    A vertex without a face, or of no normal, gets no light.
+    Raises InputError if there are no texture coordinates, some are missing, or shapes do not fit.
+    Source: Sloan, Luna and Snyder 2005, sections 5 and 6 (textures mapped onto any surface).
+    """
+    pairs = vertex_uv(faces, uv, len(positions))
+    if frames is None:
+        frames = surface_frames(positions, faces, uv, normals)
+    if frames.shape != (len(positions), 3, 3):
+        raise InputError(f"frames have shape {list(frames.shape)} for {len(positions)} vertices: give [V, 3, 3]")
+    dtype = torch.promote_types(patch.axis.dtype, torch.float32)
+    scale = repeat if isinstance(repeat, tuple) else (repeat, repeat)
+    found = sample(patch, pairs * torch.tensor(scale).to(pairs))
+    frames = frames.to(dtype)
+    shown = (frames[..., 2].detach().abs().amax(-1) > 0).to(dtype)
+    first = _first_corner(faces, len(positions)) < faces.numel()
+    shown = shown * first if faces.numel() else shown
+    axis = turned_axes(found.axis.to(dtype), frames).movedim(0, 1)
+    # A frame that has no normal would leave axes without length.
+    axis = torch.where(shown > 0, axis, axis.new_tensor([0.0, 0.0, 1.0])[:, None])
+    exact = found.exact.to(dtype)
+    exact = (turned_exact(exact, frames) if exact.shape[1] else exact) * shown
+    return ZonalTransfer(
+        axis=axis,
+        coefficients=found.coefficients.to(dtype) * shown,
+        exact=exact,
+        squared_error=found.squared_error,
+        albedo=found.albedo,
+        positions=positions,
+        normals=frames[..., 2],
+        faces=faces,
+        smooth=patch.smooth,
+        fit_error=patch.fit_error,
+        transport=patch.transport,
+        bounces=patch.bounces,
+        rays=patch.rays,
+        seed=patch.seed,
+        error=patch.error,
+        signal=patch.signal,
+        version=patch.version,
+    )
+
+
+def sample(patch: ZonalMap, uv: Float[Tensor, "V 2"]) -> ZonalTransfer:
+    """The lobes of a patch at texture coordinates, in the tangent frame; without positions and faces.
+
+    Bands 0 and 1 where they are stored apart, and the albedo, are bilinear between the centres of texels; lobes are
+    those of the nearest texel, or bilinear too (axes brought back to unit length) if the map is smooth. A map that
+    tiles is read modulo 1; else coordinates beyond the centres of its outermost texels read those. Gradients flow to
+    the values of the map, and to `uv` from what is bilinear.
+    Raises InputError if a coordinate is not finite.
+    Source: Sloan, Luna and Snyder 2005, section 6.
+    """
+    if not bool(torch.isfinite(uv).all()):
+        bad = int((~torch.isfinite(uv)).any(-1).sum())
+        raise InputError(f"uv of {bad} points are not finite: give every point a pair of texture coordinates")
+    taps, weights = _bilinear(patch, uv)
+    nearest = taps.gather(0, weights.argmax(0, keepdim=True))[0]
+    flat = {name: getattr(patch, name).flatten(-2) for name in ("axis", "coefficients", "exact", "squared_error")}
+    axis, coefficients = flat["axis"], flat["coefficients"]
+    if patch.smooth:
+        axis = normalize(_mix(axis, taps, weights), dim=1)
+        coefficients = _mix(coefficients, taps, weights)
+    else:
+        axis, coefficients = axis[..., nearest], coefficients[..., nearest]
+    albedo = patch.albedo.expand(-1, *patch.size) if patch.albedo[0].numel() > 1 else patch.albedo
+    albedo = albedo[:, 0].mT if albedo[0].numel() == 1 else _mix(albedo.flatten(1), taps, weights).mT
+    return ZonalTransfer(
+        axis=axis,
+        coefficients=coefficients,
+        exact=_mix(flat["exact"], taps, weights),
+        squared_error=flat["squared_error"][nearest],
+        albedo=albedo,
+        positions=uv.new_zeros(len(uv), 3, dtype=torch.promote_types(uv.dtype, torch.float32)),
+        normals=torch.tensor([0.0, 0.0, 1.0]).to(uv.device).expand(len(uv), 3),
+        faces=torch.zeros(0, 3, dtype=torch.int64, device=uv.device),
+    )
+
+
+def surface_frames(
+    positions: Float[Tensor, "*B V 3"],
+    faces: Int[Tensor, "F 3"],
+    uv: Float[Tensor, "..."] | None,
+    normals: Float[Tensor, "*#B V 3"] | None = None,
+) -> Float[Tensor, "*B V 3 3"]:
+    """Tangent frames of a surface in any pose: `world = frame @ local`, columns tangent, bitangent, normal.
+
+    The normal is that of the faces around a vertex, weighted by area, or the given one; the tangent is the direction
+    of increasing u, orthogonal to it; the bitangent is the remaining one, on the side of increasing v: where texture
+    coordinates are mirrored the frame is left-handed, and lobes are mirrored with it. Where they say no direction any
+    tangent is taken; a vertex without faces has zero columns. `uv` as `lay` takes it. Gradients flow to the positions.
+
+    Laws: turning the positions turns the frames; neither scale of the surface nor of the coordinates matters.
+    Raises InputError if there are no texture coordinates, some are missing, or shapes do not fit.
+    """
+    corners = _corner_uv(faces, uv, positions.shape[-2])
+    corners = torch.where(torch.isfinite(corners), corners, 0).to(positions)
+    points = positions[..., faces.flatten(), :].unflatten(-2, (-1, 3))
+    # Areas of a surface of size 1e-30 would be too small for a number, of 1e30 too large.
+    edges = (points[..., 1:, :] - points[..., :1, :]) if faces.numel() else points.new_ones(1)
+    points = points / edges.detach().abs().amax().clamp(min=torch.finfo(points.dtype).tiny)
+    e, f = (points[..., corner, :] - points[..., 0, :] for corner in (1, 2))
+    d, g = (corners[:, corner] - corners[:, 0] for corner in (1, 2))
+    turn = d[:, 0] * g[:, 1] - d[:, 1] * g[:, 0]
+    # The direction of increasing u in a face; mirrored coordinates have a negative area.
+    along = normalize((g[:, 1:] * e - d[:, 1:] * f) * turn.sign()[:, None], dim=-1)
+    area = torch.linalg.cross(e, f, dim=-1)
+    size = torch.linalg.vector_norm(area, dim=-1, keepdim=True)
+    summed = torch.cat([area, along * size, turn.sign()[:, None] * size], -1)
+    total = summed.new_zeros(*positions.shape[:-1], 7)
+    for corner in faces.long().unbind(-1):
+        total = total.index_add(-2, corner, summed)
+    normal = normalize(total[..., :3] if normals is None else normals.to(total).expand_as(positions), dim=-1)
+    tangent = total[..., 3:6] - (total[..., 3:6] * normal).sum(-1, keepdim=True) * normal
+    # Rounding leaves a direction where there is none.
+    weak = torch.linalg.vector_norm(tangent.detach(), dim=-1) <= 1e-4 * torch.linalg.vector_norm(
+        total[..., :3].detach(), dim=-1
+    )
+    tangent = normalize(torch.where(weak[..., None], _any_tangent(normal), tangent), dim=-1)
+    hand = torch.where(total[..., 6:] < 0, -1.0, 1.0)
+    return torch.stack([tangent, hand * torch.linalg.cross(normal, tangent, dim=-1), normal], -1)
+
+
+def vertex_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertices: int) -> Float[Tensor, "V 2"]:
+    """A pair of texture coordinates for each vertex: that of its first corner; 0 for a vertex without faces.
+
+    Raises InputError if there are none, some are missing, or shapes do not fit.
+    """
+    if uv is not None and uv.shape == (vertices, 2) and not len(faces):
+        return uv
+    corners = _corner_uv(faces, uv, vertices)
+    first = _first_corner(faces, vertices)
+    missing = ~torch.isfinite(corners).all(-1).flatten()
+    if bool(missing.any()):
+        raise InputError(
+            f"surface has {int(missing.sum())} corners of faces without texture coordinates: unwrap all of it"
+        )
+    pairs = torch.cat([corners.reshape(-1, 2), corners.new_zeros(1, 2)])
+    return pairs[first]
+
+
+def _corner_uv(faces: Tensor, uv: Tensor | None, vertices: int) -> Float[Tensor, "F 3 2"]:
+    if uv is None:
+        raise InputError("surface has no texture coordinates: unwrap it (a patch is laid on through them)")
+    if uv.shape == (len(faces), 3, 2):
+        return uv
+    if uv.shape != (vertices, 2):
+        raise InputError(
+            f"uv have shape {list(uv.shape)} for {vertices} vertices and {len(faces)} faces: give [V, 2] or [F, 3, 2]"
+        )
+    return uv[faces.long()]
+
+
+def _first_corner(faces: Tensor, vertices: int) -> Int[Tensor, "V"]:
+    """The number of the first corner at each vertex; one past the last where there is none."""
+    corner = torch.arange(faces.numel(), device=faces.device)
+    none = torch.full((vertices,), faces.numel(), device=faces.device)
+    return none.scatter_reduce(0, faces.long().flatten(), corner, "amin")
+
+
+def _bilinear(patch: ZonalMap, uv: Float[Tensor, "V 2"]) -> tuple[Int[Tensor, "4 V"], Float[Tensor, "4 V"]]:
+    """The four texels around each point, as numbers of the flattened map, and their weights."""
+    rows, columns = patch.size
+    numbers, shares = [], []
+    for along, count, tiles in ((uv[:, 0], columns, patch.tiles_u), (uv[:, 1], rows, patch.tiles_v)):
+        # Reduced before it is scaled: far tiles keep their digits.
+        place = (along - along.detach().floor() if tiles else along.clamp(0, 1)) * count - 0.5
+        below = place.detach().floor()
+        low = below.long()
+        pair = torch.stack([low, low + 1])
+        numbers.append(pair % count if tiles else pair.clamp(0, count - 1))
+        share = place - below
+        shares.append(torch.stack([1 - share, share]))
+    taps = (numbers[1][:, None] * columns + numbers[0][None]).flatten(0, 1)
+    return taps, (shares[1][:, None] * shares[0][None]).flatten(0, 1)
+
+
+def _mix(values: Float[Tensor, "*C T"], taps: Int[Tensor, "4 V"], weights: Float[Tensor, "4 V"]) -> Tensor:
+    wide = torch.promote_types(values.dtype, torch.float32)
+    mixed = values.new_zeros(*values.shape[:-1], taps.shape[1], dtype=wide)
+    for tap, weight in zip(taps, weights.to(wide), strict=True):
+        mixed = mixed + values[..., tap] * weight
+    return mixed.to(values.dtype)
+
+
+def _any_tangent(normal: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
+    """A vector across each normal: from the coordinate axis that it has least of."""
+    least = torch.nn.functional.one_hot(normal.detach().abs().argmin(-1), 3).to(normal)
+    return least - (least * normal).sum(-1, keepdim=True) * normal
