@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import look, options
 from torchprt.cli.report import complain, describe, details, say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
@@ -343,6 +343,10 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
     else:
         image, report = prt.light.read_with_report(file, repair=True)
         say(f"{file}: {image.shape[1]} x {image.shape[0]} pixels\n{report}")
+
+
+app.command()(look.render)
+app.command()(look.preview)
 
 
 @app.command()

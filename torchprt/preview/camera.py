@@ -26,6 +26,19 @@ class Camera:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     field: float = 35.0
 
+    def axes(self) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"], Float[Tensor, "3"]]:
+        """Unit vectors forward, right and above of the picture, float64.
+
+        Raises InputError if the camera looks along its own `up`.
+        """
+        eye, target, up = (torch.tensor(v, dtype=torch.float64) for v in (self.eye, self.target, self.up))
+        forward = torch.nn.functional.normalize(target - eye, dim=0)
+        right = torch.linalg.cross(forward, up)
+        if not float(right.norm()) > 1e-6 * float(up.norm()):
+            raise InputError("the camera looks along its up vector: move the eye or give another up")
+        right = torch.nn.functional.normalize(right, dim=0)
+        return forward, right, torch.linalg.cross(right, forward)
+
     def directions(self, width: int, height: int) -> Float[Tensor, "H W 3"]:
         """The world direction through the middle of every pixel, float64, not of unit length.
 
@@ -33,17 +46,22 @@ class Camera:
         """
         if width < 1 or height < 1:
             raise InputError(f"size {width}x{height} has no pixels: give width and height from 1")
-        eye, target, up = (torch.tensor(v, dtype=torch.float64) for v in (self.eye, self.target, self.up))
-        forward = torch.nn.functional.normalize(target - eye, dim=0)
-        right = torch.linalg.cross(forward, up)
-        if not float(right.norm()) > 1e-6 * float(up.norm()):
-            raise InputError("the camera looks along its up vector: move the eye or give another up")
-        right = torch.nn.functional.normalize(right, dim=0)
-        above = torch.linalg.cross(right, forward)
+        x = torch.arange(width, dtype=torch.float64) + 0.5
+        y = torch.arange(height, dtype=torch.float64) + 0.5
+        return self.through(x[None, :], y[:, None], width, height)
+
+    def through(
+        self, x: Float[Tensor, "*#P"], y: Float[Tensor, "*#P"], width: int, height: int
+    ) -> Float[Tensor, "*P 3"]:
+        """The world directions through points of a picture, in pixels from its upper left corner, float64.
+
+        Raises InputError if the camera looks along its own `up`.
+        """
+        forward, right, above = self.axes()
         reach = math.tan(math.radians(self.field) / 2)
-        x = (2 * (torch.arange(width, dtype=torch.float64) + 0.5) / width - 1) * reach * width / height
-        y = (1 - 2 * (torch.arange(height, dtype=torch.float64) + 0.5) / height) * reach
-        return forward + x[None, :, None] * right + y[:, None, None] * above
+        across = (2 * x / width - 1) * reach * width / height
+        up = (1 - 2 * y / height) * reach
+        return forward + across[..., None] * right + up[..., None] * above
 
 
 def frame(

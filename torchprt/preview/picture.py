@@ -42,16 +42,17 @@ class Still:
         width, height = size
         if width < 1 or height < 1 or samples < 1:
             raise InputError(f"size {width}x{height} with {samples} samples has no pixels: give numbers from 1")
-        camera = camera or frame(positions, aspect=width / height)
+        self.camera = camera or frame(positions, aspect=width / height)
+        self._rays = width * samples, height * samples
         tracer = Tracer(positions, faces)
-        eye = torch.tensor(camera.eye, dtype=torch.float64)
-        hits = tracer.camera(eye, camera.directions(width * samples, height * samples))
+        eye = torch.tensor(self.camera.eye, dtype=torch.float64)
+        hits = tracer.camera(eye, self.directions())
         self._seen = hits.triangle >= 0
         triangle = hits.triangle.long().clamp(min=0)
         corners, front = faces.long()[triangle], hits.front
         if bool((self._seen & ~front).any()):
             # A two-sided surface is there twice, and Embree may have met either: the side that faces us counts.
-            reverse = _reverse_corners(positions, faces)[triangle]
+            reverse = reverse_corners(positions, faces)[triangle]
             twin = ~front & (reverse[..., 0] >= 0)
             corners, front = torch.where(twin[..., None], reverse, corners), front | twin
         weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1)
@@ -60,8 +61,17 @@ class Still:
         self._weights = torch.where((self._seen & front)[..., None], weights, 0)
         self._samples = samples
 
-    def radiance(self, vertex_radiance: Float[Tensor, "V 3"], background: float = BACKGROUND) -> Float[Tensor, "H W 3"]:
-        """The picture of linear radiance. Raises InputError unless there is a radiance for every vertex."""
+    def directions(self) -> Float[Tensor, "h w 3"]:
+        """The world direction of every ray, `samples` times as many along each side as there are pixels."""
+        return self.camera.directions(*self._rays)
+
+    def radiance(
+        self, vertex_radiance: Float[Tensor, "V 3"], background: float | Float[Tensor, "h w 3"] = BACKGROUND
+    ) -> Float[Tensor, "H W 3"]:
+        """The picture of linear radiance. `background`: one for all rays that meet nothing, or that of `directions`.
+
+        Raises InputError unless there is a radiance for every vertex.
+        """
         if len(vertex_radiance) != self._vertices:
             raise InputError(
                 f"radiance of {len(vertex_radiance)} vertices for a model of {self._vertices}: give each one"
@@ -77,14 +87,15 @@ class Still:
         *,
         exposure: float = 0.0,
         tone: ToneMap = "filmic",
-        background: float = BACKGROUND,
+        background: float | Float[Tensor, "h w 3"] = BACKGROUND,
     ) -> Float[Tensor, "H W 3"]:
-        """The picture as sRGB in [0, 1]; the background is not exposed."""
-        linear = vertex_radiance * 2.0**exposure
-        return display(self.radiance(linear, background), tone=tone)
+        """The picture as sRGB in [0, 1]; a background of one number is not exposed."""
+        scale = 2.0**exposure
+        behind = background * scale if isinstance(background, Tensor) else background
+        return display(self.radiance(vertex_radiance * scale, behind), tone=tone)
 
 
-def _reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
+def reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
     """`[F, 3]`: for each corner of a face the vertex at its place of the face's other side; -1 where there is none."""
     _, place = torch.unique(positions, dim=0, return_inverse=True)
     places, by_place = place[faces.long()].sort(-1)
