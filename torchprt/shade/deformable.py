@@ -69,9 +69,7 @@ class DeformableShader(nn.Module):
         dtype = dtype or torch.promote_types(transfer.coefficients.dtype, torch.float32)
         for name in names:
             value = getattr(transfer, name).detach()
-            if name == "axis" and value.dtype in (torch.float16, torch.bfloat16):
-                value = normalize(value.double(), dim=1)
-            value = value.to(dtype)
+            value = (unit_axes(value, 1) if name == "axis" else value).to(dtype)
             if name in learn:
                 self.register_parameter(name, nn.Parameter(value.clone()))
             else:
@@ -105,16 +103,19 @@ class DeformableShader(nn.Module):
         collapsed or mirrored one is none), or positions are not finite.
         """
         light = turned_light(light, rotation, self.turn)
-        frames = self.pose(frames, positions)
+        return self.radiance(light, self.pose(frames, positions)).mT
+
+    def radiance(
+        self, light: Float[Tensor, "*#B N 3"], frames: Float[Tensor, "*#B V 3 3"] | None
+    ) -> Float[Tensor, "... 3 V"]:
+        """Radiance under lights that are turned, in poses that are checked."""
         if self.albedo.shape[0] == 1:
             light = light * self.albedo
         if self.method == "direct":
             radiance = light_product(light, self.vectors(frames))
         else:
             radiance = table_radiance(light, *self.lobes(frames))
-        if self.albedo.shape[0] != 1:
-            radiance = radiance * self.albedo.T
-        return radiance.mT
+        return radiance if self.albedo.shape[0] == 1 else radiance * self.albedo.T
 
     def fix_pose(
         self, frames: Float[Tensor, "V 3 3"] | None = None, *, positions: Float[Tensor, "V 3"] | None = None
@@ -176,6 +177,13 @@ def checked_pose(
     if values_are_at_hand() and not bool(positions.isfinite().all()):
         raise InputError("positions hold NaN or infinity: give finite numbers")
     return estimate(positions).to(dtype)
+
+
+def unit_axes(axis: Tensor, dim: int) -> Tensor:
+    """Axes in the dtype of a shader, of unit length again if they were stored in half precision."""
+    if axis.dtype in (torch.float16, torch.bfloat16):
+        return normalize(axis.double(), dim=dim)
+    return axis
 
 
 def beside(values: Tensor, poses: int) -> Tensor:

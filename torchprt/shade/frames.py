@@ -79,7 +79,7 @@ class DeformedFrames(nn.Module):
         slopes = -torch.linalg.cross(unit[:, None].expand_as(edges), edges, dim=-1)
         vertex, face = _incident(corners, _copies(places, normals), count)
         sides, normal = _sides(across, vertex, face, count)
-        self.register_buffer("still", torch.linalg.vector_norm(normal, dim=-1) == 0)
+        still = torch.linalg.vector_norm(normal, dim=-1) == 0
         tangent, bitangent, normal = _orthonormal(normal)
         basis = torch.stack([tangent, bitangent, normal]).permute(0, 2, 1).contiguous()
         planes = torch.stack([tangent, bitangent])
@@ -92,15 +92,19 @@ class DeformedFrames(nn.Module):
         kept = (owner != neighbour) & (slope != 0).any(0)
         owner, neighbour, slope = owner[kept], neighbour[kept], slope[:, kept]
         wide = torch.promote_types(rest.dtype, torch.float32)
-        self.register_buffer("faces", corners.T.contiguous().reshape(-1))
-        self.register_buffer("basis", basis.to(wide))
-        rows, self.sum_neighbours = rows_of(owner, count)
-        self.register_buffer("neighbours", _filled(neighbour, rows, 0))
-        self.register_buffer("own", _filled(owner, rows, 0))
-        self.register_buffer("slopes", _filled(slope, rows, 0).to(wide))
-        rows, self.sum_around = rows_of(vertex, count)
-        self.register_buffer("around", _filled(face, rows, 0))
-        self.register_buffer("sides", _filled(sides, rows, 0).to(wide))
+        beside, self.sum_neighbours = rows_of(owner, count)
+        around, self.sum_around = rows_of(vertex, count)
+        for name, value in (
+            ("still", still),
+            ("faces", corners.T.reshape(-1)),
+            ("basis", basis.to(wide)),
+            ("neighbours", _filled(neighbour, beside)),
+            ("own", _filled(owner, beside)),
+            ("slopes", _filled(slope, beside).to(wide)),
+            ("around", _filled(face, around)),
+            ("sides", _filled(sides, around).to(wide)),
+        ):
+            self.register_buffer(name, value, persistent=False)
         self.vertices = count
 
     def forward(self, posed: Float[Tensor, "*B V 3"]) -> Float[Tensor, "*B V 3 3"]:
@@ -234,9 +238,9 @@ def _orthonormal(normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return tangent, torch.linalg.cross(normal, tangent, dim=-1), normal
 
 
-def _filled(values: Tensor, rows: Tensor, empty: int) -> Tensor:
-    """`values [..., E]` in the slots `rows [R, W]`, one after another, `empty` where a slot is E."""
-    padded = torch.cat([values, values.new_full((*values.shape[:-1], 1), empty)], -1)
+def _filled(values: Tensor, rows: Tensor) -> Tensor:
+    """`values [..., E]` in the slots `rows [R, W]`, one after another, zero where a slot is E."""
+    padded = torch.cat([values, values.new_zeros(*values.shape[:-1], 1)], -1)
     return padded[..., rows.reshape(-1)].contiguous()
 
 

@@ -19,7 +19,7 @@ class SumRows(nn.Module):
         self.width = width
         self.levels = len(more)
         for level, rows in enumerate(more):
-            self.register_buffer(f"rows{level}", rows)
+            self.register_buffer(f"rows{level}", rows, persistent=False)
 
     def forward(self, values: Float[Tensor, "*B E"]) -> Float[Tensor, "*B V"]:
         sums = values.unflatten(-1, (-1, self.width)).sum(-1)

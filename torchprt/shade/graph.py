@@ -8,6 +8,8 @@ from torch.nn.functional import linear
 
 from torchprt.errors import InputError
 from torchprt.sh import cube_basis
+from torchprt.shade.deformable import DeformableShader
+from torchprt.shade.deformable_glossy import DeformableFactoredShader
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.display import ToneMap, display
 from torchprt.shade.view import ViewShader
@@ -25,7 +27,7 @@ class EnvironmentShader(nn.Module):
 
     def __init__(
         self,
-        shader: DiffuseShader | ViewShader,
+        shader: DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader,
         size: int,
         *,
         exposure: float = 0.0,
@@ -48,10 +50,12 @@ class EnvironmentShader(nn.Module):
         *,
         eye: Float[Tensor, "*#B 3"] | None = None,
         view: Float[Tensor, "*#B 3"] | None = None,
+        frames: Float[Tensor, "*#B V 3 3"] | None = None,
+        positions: Float[Tensor, "*#B V 3"] | None = None,
     ) -> Float[Tensor, "... V 3"]:
-        """Radiance `[..., V, 3]`; `eye` or `view` are passed to a shader that depends on them.
+        """Radiance `[..., V, 3]`; `eye` or `view`, `frames` or `positions` go to a shader that depends on them.
 
-        Raises InputError if the cube map is not of the stated size, or a diffuse shader is given an eye.
+        Raises InputError if the cube map is not of the stated size, or the shader does not depend on what is given.
         """
         if environment.shape[-3:-1] != (self.size, self.size):
             raise InputError(
@@ -61,10 +65,11 @@ class EnvironmentShader(nn.Module):
         # `sh.project_cube` with the table in a buffer, so that the graph can be compiled and exported.
         texels = environment.movedim(-1, -4).reshape(*environment.shape[:-4], 3, 6 * self.size**2)
         light = linear(texels, self.weights).mT
-        if isinstance(self.shader, DiffuseShader):
-            if eye is not None or view is not None:
-                raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
-            radiance = self.shader(light, rotation)
-        else:
-            radiance = self.shader(light, rotation, eye=eye, view=view)
+        eyes = {name: value for name, value in (("eye", eye), ("view", view)) if value is not None}
+        pose = {name: value for name, value in (("frames", frames), ("positions", positions)) if value is not None}
+        if eyes and not isinstance(self.shader, ViewShader | DeformableFactoredShader):
+            raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
+        if pose and not isinstance(self.shader, DeformableShader | DeformableFactoredShader):
+            raise InputError("frames or positions are given, but this shader has one pose: omit them")
+        radiance = self.shader(light, rotation, **eyes, **pose)
         return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)
