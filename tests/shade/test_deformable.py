@@ -388,8 +388,7 @@ def test_learning_axes_of_any_length_counts_them_as_directions():
     assert close(module(lights()).detach(), before, 64)
 
 
-@pytest.mark.parametrize("method", ["direct", "table"])
-@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize(("method", "exact"), [("direct", True), ("table", False)])
 def test_compiles_as_one_graph(untyped, method, exact):
     torch.compiler.reset()
     transfer = random_zonal(exact=exact)

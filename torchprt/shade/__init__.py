@@ -7,6 +7,7 @@ from .clustered import ClusteredShader as ClusteredShader
 from .clustered import ClusteredVisibilityShader as ClusteredVisibilityShader
 from .deformable import DeformableShader as DeformableShader
 from .deformable import FixedPoseShader as FixedPoseShader
+from .deformable_glossy import DeformableFactoredShader as DeformableFactoredShader
 from .diffuse import DiffuseShader as DiffuseShader
 from .display import display as display
 from .display import filmic as filmic
@@ -36,6 +37,7 @@ __all__ = [
     "ClusteredIncidentShader",
     "ClusteredShader",
     "ClusteredVisibilityShader",
+    "DeformableFactoredShader",
     "DeformableShader",
     "DeformedFrames",
     "DiffuseShader",

@@ -18,6 +18,7 @@ from torchprt.shade.clustered import (
     ClusteredVisibilityShader,
 )
 from torchprt.shade.deformable import DeformableShader
+from torchprt.shade.deformable_glossy import DeformableFactoredShader
 from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.glossy import FactoredShader, GlossyShader
 from torchprt.shade.incident import IncidentShader
@@ -34,11 +35,18 @@ from torchprt.transfer import (
     IncidentTransfer,
     Transfer,
     VisibilityTransfer,
+    ZonalFactoredTransfer,
     ZonalTransfer,
 )
 
 Shader: TypeAlias = (
-    DiffuseShader | GlossyShader | FactoredShader | IncidentShader | VisibilityShader | DeformableShader
+    DiffuseShader
+    | GlossyShader
+    | FactoredShader
+    | IncidentShader
+    | VisibilityShader
+    | DeformableShader
+    | DeformableFactoredShader
 )
 
 # The kinds that leave nothing to be chosen.
@@ -52,6 +60,7 @@ _SHADERS: dict[type[Transfer], Callable[..., Shader]] = {
     ClusteredFactoredTransfer: ClusteredFactoredShader,
     ClusteredVisibilityTransfer: ClusteredVisibilityShader,
     ZonalTransfer: DeformableShader,
+    ZonalFactoredTransfer: DeformableFactoredShader,
 }
 
 
@@ -109,6 +118,10 @@ def shader(
 def shader(
     transfer: ZonalTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
 ) -> DeformableShader: ...
+@overload
+def shader(
+    transfer: ZonalFactoredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
+) -> DeformableFactoredShader: ...
 @overload
 def shader(
     transfer: Transfer,
