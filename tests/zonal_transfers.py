@@ -1,11 +1,13 @@
 """Random zonal transfer, and what its shading is by definition."""
 
+import math
+
 import torch
 from torch.nn.functional import normalize
 
 from torchprt import sh
 from torchprt.sh import yaw_pitch_roll
-from torchprt.transfer import ZonalTransfer
+from torchprt.transfer import ZonalFactoredTransfer, ZonalTransfer
 
 
 def random_zonal(
@@ -31,6 +33,49 @@ def random_zonal(
         positions=positions.to(wide),
         normals=normalize(normal(vertices, 3), dim=1).to(wide),
         faces=faces,
+        **metadata,
+    )
+
+
+def random_zonal_factored(
+    vertices=9,
+    glossy=4,
+    rows=2,
+    lobes=3,
+    order=4,
+    channels=1,
+    exact=True,
+    diffuse=True,
+    dtype=torch.float32,
+    seed=0,
+    specular=("G", 3),
+    **metadata,
+):
+    """Rows of a factored BRDF in lobes, and a diffuse layer in two; on the square of `random_zonal`."""
+    generator = torch.Generator().manual_seed(seed)
+    wide = dtype if dtype == torch.float64 else torch.float32
+    plain = random_zonal(math.isqrt(vertices), lobes=2, order=order, channels=channels, dtype=dtype, seed=seed)
+    many = [
+        random_zonal(math.isqrt(vertices), lobes, order, channels, exact, dtype=dtype, seed=seed + row + 1)
+        for row in range(rows)
+    ]
+    chosen = torch.randperm(vertices, generator=generator)[:glossy].sort().values
+    across = torch.randn(glossy, 3, generator=generator, dtype=torch.float64)
+    count = vertices if diffuse else 0
+    return ZonalFactoredTransfer(
+        **{name: getattr(plain, name) for name in ("positions", "normals", "faces", "albedo")},
+        glossy=chosen,
+        tangents=normalize(torch.linalg.cross(plain.normals[chosen].double(), across), dim=1).to(wide),
+        specular=0.1 + 0.8 * torch.rand(glossy if specular[0] == "G" else 1, specular[1], generator=generator).to(wide),
+        diffuse=torch.zeros(channels, order**2, 0, dtype=dtype),
+        axis=torch.stack([one.axis for one in many])[..., :glossy].contiguous(),
+        coefficients=torch.stack([one.coefficients for one in many], 1)[..., :glossy].contiguous(),
+        exact=torch.stack([one.exact for one in many], 1)[..., :glossy].contiguous(),
+        factors=torch.randn(rows, 32, 32, generator=generator, dtype=torch.float64).to(wide),
+        diffuse_axis=plain.axis[..., :count],
+        diffuse_coefficients=plain.coefficients[..., :count],
+        diffuse_exact=plain.exact[..., :count],
+        squared_error=torch.zeros(glossy),
         **metadata,
     )
 

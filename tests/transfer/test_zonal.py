@@ -5,37 +5,12 @@ import math
 
 import pytest
 import torch
-from transfers import random_glossy
-from zonal_transfers import random_zonal
+from zonal_transfers import random_zonal, random_zonal_factored
 
 from torchprt.errors import InputError
 from torchprt.transfer import ZonalFactoredTransfer, load, save
 from torchprt.transfer.kinds import DIFFUSE
 from torchprt.transfer.layout import tensors
-
-
-def factored(glossy=4, rows=2, lobes=3, order=4, channels=1, exact=True, diffuse=True, dtype=torch.float32):
-    """Random rows of a factored BRDF in lobes, and a diffuse layer."""
-    plain = random_glossy("factored", glossy=glossy, order=order, channels=channels, diffuse=False)
-    many = [
-        random_zonal(side=2, lobes=lobes, order=order, channels=channels, exact=exact, dtype=dtype, seed=row)
-        for row in range(rows)
-    ]
-    layer = random_zonal(side=math.isqrt(plain.vertices + 3), lobes=2, order=order, channels=channels, dtype=dtype)
-    count = plain.vertices if diffuse else 0
-    return ZonalFactoredTransfer(
-        **{name: getattr(plain, name) for name in ("positions", "normals", "faces", "albedo", "glossy", "tangents")},
-        specular=plain.specular,
-        diffuse=plain.diffuse,
-        axis=torch.stack([one.axis for one in many])[..., :glossy],
-        coefficients=torch.stack([one.coefficients for one in many], 1)[..., :glossy],
-        exact=torch.stack([one.exact for one in many], 1)[..., :glossy],
-        factors=plain.factors[:rows],
-        diffuse_axis=layer.axis[..., :count],
-        diffuse_coefficients=layer.coefficients[..., :count],
-        diffuse_exact=layer.exact[..., :count],
-        squared_error=torch.zeros(glossy),
-    )
 
 
 @pytest.mark.parametrize(
@@ -136,12 +111,12 @@ def test_looks_the_same_from_everywhere():
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("diffuse", [False, True])
 def test_glossy_lobes_come_back_from_their_file(tmp_path, exact, channels, diffuse):
-    transfer = factored(exact=exact, channels=channels, diffuse=diffuse)
+    transfer = random_zonal_factored(exact=exact, channels=channels, diffuse=diffuse)
     save(transfer, tmp_path / "a.safetensors")
     back = load(tmp_path / "a.safetensors")
     assert type(back) is ZonalFactoredTransfer
     assert all(torch.equal(getattr(back, name), value) for name, value in tensors(transfer).items())
-    assert (back.order, back.lobes, back.channels, back.vertices) == (4, 3, channels, 7)
+    assert (back.order, back.lobes, back.channels, back.vertices) == (4, 3, channels, 9)
     assert back.to_order(3).order == 3
     assert back.to(torch.float16).bytes < back.bytes
 
@@ -150,20 +125,20 @@ def test_glossy_lobes_come_back_from_their_file(tmp_path, exact, channels, diffu
     ("field", "value", "message"),
     [
         ("coefficients", torch.zeros(1, 2, 3, 3, 4), r"orders 5 \(glossy\) and 4 \(diffuse\): .* order 4 of the light"),
-        ("diffuse_exact", torch.zeros(1, 0, 7), r"orders 4 \(glossy\) and 2 \(diffuse\)"),
-        ("diffuse", torch.zeros(1, 16, 7), "'diffuse'"),
+        ("diffuse_exact", torch.zeros(1, 0, 9), r"orders 4 \(glossy\) and 2 \(diffuse\)"),
+        ("diffuse", torch.zeros(1, 16, 9), "'diffuse'"),
         ("factors", torch.zeros(3, 32, 32), "'factors'"),
         ("diffuse_axis", torch.zeros(2, 3, 0), "diffuse layer are for"),
     ],
 )
 def test_refuses_glossy_lobes_that_do_not_fit(field, value, message):
     with pytest.raises(InputError, match=message):
-        dataclasses.replace(factored(), **{field: value})
+        dataclasses.replace(random_zonal_factored(), **{field: value})
 
 
 def test_the_check_looks_at_all_axes():
     for name in ("axis", "diffuse_axis"):
-        transfer = factored()
+        transfer = random_zonal_factored()
         getattr(transfer, name).mul_(1.01)
         with pytest.raises(InputError, match=f"{name} of the transfer holds"):
             transfer.check()
