@@ -104,6 +104,9 @@ def preview(
         typer.Option(help="An environment image, an .npy, studio or sky (repeatable).", show_default="studio and sky"),
     ] = None,
     size: Annotated[str, typer.Option(help="Of the window, in pixels.")] = "1024x768",
+    poses: Annotated[
+        Path | None, typer.Option(help="Gives a bake in zonal lobes these poses, .npy of T x V x 3; else it bends.")
+    ] = None,
     tone: Annotated[str, typer.Option(help="filmic or none.")] = "filmic",
     material: Chosen = None,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
@@ -123,7 +126,8 @@ def preview(
             chosen = options.gloss_of(transfer, material) or chosen
     highest = max(transfer.order for transfer in opened.values())
     lights = [_environment(each, highest, repair) for each in light or (STUDIO, SKY)]
-    session = preview.Session(opened, lights, brdf=chosen, tone=preview.tone_map(tone))
+    moves = None if poses is None else options.positions(poses)
+    session = preview.Session(opened, lights, brdf=chosen, tone=preview.tone_map(tone), poses=moves)
     preview.show(session, size=shape, name=f"torchprt {bakes[0].stem}", say=say)
 
 

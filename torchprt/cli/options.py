@@ -167,6 +167,22 @@ def environment(path: Path, repair: bool) -> Tensor:
     return image
 
 
+def positions(path: Path) -> Tensor:
+    """Poses of a mesh, `[T, V, 3]`, from an .npy."""
+    import numpy as np
+    import torch
+
+    try:
+        values = np.load(path)
+    except OSError as fault:
+        raise InputError(f"{path} cannot be read ({fault.strerror or fault}): check the name") from None
+    except ValueError:
+        raise InputError(f"{path} is no .npy of numbers: write one with numpy.save") from None
+    if not isinstance(values, np.ndarray) or values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind not in "fiu":
+        raise InputError(f"{path} does not hold poses: it must be numbers of shape T x V x 3, a pose after the other")
+    return torch.from_numpy(values.astype(np.float64))
+
+
 def windowed(coefficients: Tensor, name: str) -> Tensor:
     """The light under one of `WINDOWS`; what the automatic one leaves is told."""
     from torchprt import sh

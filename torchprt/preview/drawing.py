@@ -33,13 +33,14 @@ class Drawing:
         self._keys: dict[str, object] = {}
         self._drawn: dict[str, Any] = {}
         self._colours: Tensor | None = None
+        self._positions = session.positions
         self.model = self._mesh(session.positions, session.faces)
         viewer.add_geometry(self.model)
-        single = reverse_faces(session.positions, session.faces)
-        if len(single):
-            back = self._mesh(session.positions, single)
-            back.paint_uniform_color([0.0, 0.0, 0.0])
-            viewer.add_geometry(back, reset_bounding_box=False)
+        single = reverse_faces(session.rest, session.faces)
+        self._reverse = self._mesh(session.positions, single) if len(single) else None
+        if self._reverse is not None:
+            self._reverse.paint_uniform_color([0.0, 0.0, 0.0])
+            viewer.add_geometry(self._reverse, reset_bounding_box=False)
         self._directions, faces = sphere(RINGS)
         inward = faces.flip(1)
         steps = torch.arange(len(self._directions))
@@ -63,10 +64,15 @@ class Drawing:
         return any(changed)
 
     def _shade(self) -> bool:
-        colours = self.session.colours()
-        if colours is self._colours:
+        colours, positions = self.session.colours(), self.session.positions
+        if colours is self._colours and positions is self._positions:
             return False
-        self._colours = colours
+        if positions is not self._positions:
+            self.model.vertices = self._vectors(positions)
+            if self._reverse is not None:
+                self._reverse.vertices = self.model.vertices
+                self.viewer.update_geometry(self._reverse)
+        self._colours, self._positions = colours, positions
         self.model.vertex_colors = self._vectors(colours)
         self.viewer.update_geometry(self.model)
         return True

@@ -20,9 +20,7 @@ def panel(lines: Sequence[str]) -> UInt8[Tensor, "H W 3"]:
     font = ImageFont.load_default(SIZE)
     parts = [line.partition("\t") for line in lines]
     column = max((font.getlength(left) for left, tab, _ in parts if tab), default=0) + MARGIN
-    widest = max(
-        (column + font.getlength(right) if tab else font.getlength(left) for left, tab, right in parts), default=0
-    )
+    widths = [column + font.getlength(right) if tab else font.getlength(left) for left, tab, right in parts]
     page = Image.new("RGB", (int(max(widths, default=0)) + 1 + 2 * MARGIN, LINE * len(lines) + 2 * MARGIN), GROUND)
     pen = ImageDraw.Draw(page)
     for number, (left, _, right) in enumerate(parts):

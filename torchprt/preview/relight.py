@@ -1,69 +1,92 @@
-"""Shading in a loop in which light or eye mostly stay."""
+"""Shading in a loop in which light, eye and pose mostly stay."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchprt.shade import DiffuseShader, FixedEyeShader, FixedLightShader, ViewShader
+from torchprt.shade import DeformableShader, DiffuseShader, FixedEyeShader, FixedLightShader, ViewShader
 
 
 class Relight:
-    """Calls `shader` for one light and one eye, and folds in whichever of the two stays from call to call.
+    """Calls `shader` for one light, one eye and one pose, and folds in what stays from call to call.
 
-    The result is that of the shader to rounding. A shader that does not depend on the eye is called as it is.
+    The result is that of the shader to rounding. What a shader does not depend on is not passed to it.
     """
 
     def __init__(self, shader: nn.Module):
-        self.shader = shader
+        self.shader: Any = shader
+        self.follows_pose = hasattr(shader, "fix_pose")
+        self.follows_eye = not isinstance(shader, DiffuseShader | DeformableShader)
         self._light: Tensor | None = None
         self._eye: Tensor | None = None
+        self._pose: Tensor | None = None
+        self._posed: Any = None
         self._fixed_light: FixedLightShader | None = None
         self._fixed_eye: FixedEyeShader | None = None
 
-    @property
-    def follows_eye(self) -> bool:
-        return isinstance(self.shader, ViewShader)
-
     @torch.no_grad()
-    def __call__(self, light: Float[Tensor, "N 3"], eye: Float[Tensor, "3"]) -> Float[Tensor, "V 3"]:
-        """Linear exit radiance toward `eye`. Raises InputError as the shader."""
-        if not isinstance(self.shader, ViewShader):
-            return self.shader(light)
-        same_light = self._light is not None and torch.equal(light, self._light)
-        same_eye = self._eye is not None and torch.equal(eye, self._eye)
-        if not same_light:
-            self._fixed_light = None
-        if not same_eye:
-            self._fixed_eye = None
+    def __call__(
+        self, light: Float[Tensor, "N 3"], eye: Float[Tensor, "3"], pose: Float[Tensor, "V 3"] | None = None
+    ) -> Float[Tensor, "V 3"]:
+        """Linear exit radiance toward `eye`; `pose`: where the vertices are, as at rest if omitted.
+
+        Raises InputError as the shader.
+        """
+        shader = self.shader
+        if self.follows_pose:
+            if not _same(pose, self._pose):
+                self._pose, self._posed = pose, None
+                moved = {} if pose is None else {"positions": pose}
+                return shader(light, **moved, **({"eye": eye} if self.follows_eye else {}))
+            shader = self._still(pose)
+        if not self.follows_eye:
+            return shader(light)
+        same_light, same_eye = _same(light, self._light), _same(eye, self._eye)
+        self._fixed_light = self._fixed_light if same_light else None
+        self._fixed_eye = self._fixed_eye if same_eye else None
         self._light, self._eye = light, eye
-        if same_light and self._fixed_light is None and not same_eye:
-            self._fixed_light = self.shader.fix_light(light)
-        if same_eye and self._fixed_eye is None and not same_light:
-            self._fixed_eye = self.shader.fix_eye(eye=eye)
+        if same_light and not same_eye and self._fixed_light is None:
+            self._fixed_light = shader.fix_light(light)
+        if same_eye and not same_light and self._fixed_eye is None:
+            self._fixed_eye = shader.fix_eye(eye=eye)
         if self._fixed_light is not None:
             return self._fixed_light(eye=eye)
         if self._fixed_eye is not None:
             return self._fixed_eye(light)
-        return self.shader(light, eye=eye)
+        return shader(light, eye=eye)
 
     @torch.no_grad()
-    def transfer_of(self, vertex: int, eye: Float[Tensor, "3"]) -> Float[Tensor, "N 3"]:
+    def transfer_of(
+        self, vertex: int, eye: Float[Tensor, "3"], pose: Float[Tensor, "V 3"] | None = None
+    ) -> Float[Tensor, "N 3"]:
         """What a vertex sends toward `eye` for each direction that light comes from, as SH coefficients.
 
-        The transfer vector of diffuse receivers times albedo, of glossy ones the row that the eye selects.
+        Transfer vectors of diffuse receivers times albedo; of glossy ones what the eye selects, times specular.
         """
-        if isinstance(self.shader, ViewShader):
-            fixed = self._fixed_eye
-            if fixed is None or self._eye is None or not torch.equal(eye, self._eye):
-                fixed = self.shader.fix_eye(eye=eye)
-            return fixed.transfer[..., vertex].T.expand(-1, 3)
-        shader = self.shader
-        if isinstance(shader, DiffuseShader) and hasattr(shader, "transfer"):
+        shader = self._still(pose) if self.follows_pose else self.shader
+        if isinstance(shader, ViewShader):
+            return shader.fix_eye(eye=eye).transfer[..., vertex].T.expand(-1, 3)
+        if hasattr(shader, "transfer"):
             albedo = shader.albedo[vertex if len(shader.albedo) > 1 else 0]
             return shader.transfer[..., vertex].T * albedo
         # Linear in the light: one of each coefficient at a time.
-        count = int(shader.order) ** 2  # type: ignore[arg-type]
+        count = shader.order**2
         lights = torch.eye(count)[..., None].expand(count, count, 3)
         return shader(lights)[:, vertex]
+
+    def _still(self, pose: Tensor | None) -> Any:
+        """The shader of one pose, made when it is asked for again."""
+        if self._posed is None or not _same(pose, self._pose):
+            self._pose, self._posed = pose, self.shader.fix_pose(positions=pose)
+            self._fixed_light = self._fixed_eye = None
+        return self._posed
+
+
+def _same(one: Tensor | None, other: Tensor | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return one is other or torch.equal(one, other)

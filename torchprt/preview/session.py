@@ -13,6 +13,7 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.preview import modes
+from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
 from torchprt.preview.environment import Environment, automatic_exposure, photograph
 from torchprt.preview.error_colours import error_colours
@@ -39,10 +40,12 @@ class Session:
     """What a preview shows, and every change to it; `colours` are those of the vertices on the screen.
 
     `bakes`: by name, of one mesh: as many as there are (without and with bounces, compressed). `environments`: at
-    least one, with lights of the highest order among the bakes. `brdf`: of bakes of kind "incident".
+    least one, with lights of the highest order among the bakes. `brdf`: of bakes of kind "incident". `poses`: what
+    transfer that follows the pose is shown in (`Animation`).
     Methods that change what is shown return a line that says what it is now.
 
-    Raises InputError if there is no bake, no environment, bakes are of different meshes or have no faces.
+    Raises InputError if there is no bake, no environment, bakes are of different meshes or have no faces, or the poses
+    are not of that mesh.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class Session:
         brdf: Any = None,
         tone: ToneMap = "filmic",
         toward: tuple[float, float, float] = (0.45, 0.35, 1.0),
+        poses: Float[Tensor, "T V 3"] | None = None,
     ):
         if not bakes or not environments:
             raise InputError("there is nothing to preview: give a bake and an environment")
@@ -67,7 +71,11 @@ class Session:
             raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
         self.bakes = {name: bake for name, bake in bakes.items() if isinstance(bake, BakedTransfer)}
         self.compressed = {name: bake for name, bake in bakes.items() if not isinstance(bake, BakedTransfer)}
-        self.positions, self.faces = first.positions.double(), first.faces.long()
+        self.rest, self.faces = first.positions.double(), first.faces.long()
+        self.positions = self.rest
+        self.playing = False
+        self.seconds = 0.0
+        self._animation = Animation(self.rest, poses)
         self.normals = first.normals.float()
         self.environments = list(environments)
         self.tone: ToneMap = tone
@@ -80,14 +88,15 @@ class Session:
         self.environment = 0
         self.backdrop = BACKDROPS[0]
         self.rotation = torch.eye(3)
-        self.orbit = self._home = Orbit.around(self.positions, toward)
+        self.orbit = self._home = Orbit.around(self.rest, toward)
         self.picked: int | None = None
-        self.radius = float((self.positions - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
+        self.radius = float((self.rest - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
         self._brdf = brdf
         self._all = dict(bakes)
         self._relights: dict[str, Relight] = {}
         self._windowed: dict[tuple[int, int, str], Tensor] = {}
         self._tracer: Tracer | None = None
+        self._traced: Tensor | None = None
         self._shown: tuple[object, Tensor] | None = None
         self.worst: float | None = None
 
@@ -105,6 +114,11 @@ class Session:
     def follows_eye(self) -> bool:
         """Whether the picture on the vertices changes with the camera."""
         return self.mode not in UNBAKED and self._relight(self._stored()).follows_eye
+
+    @property
+    def follows_pose(self) -> bool:
+        """Whether the model can move: what is shown follows its pose."""
+        return self._relight(self._stored()).follows_pose
 
     @property
     def stops(self) -> float:
@@ -125,7 +139,7 @@ class Session:
         light = self.light()
         if self.mode in UNBAKED:
             lit = modes.unshadowed if self.mode == "unshadowed" else modes.one_lamp
-            return lit(light, self.normals) * modes.reflectance(self._all[self.bake])
+            return lit(light, self._normals()) * modes.reflectance(self._all[self.bake])
         return self._shade(self._stored(), light)
 
     def colours(self) -> Float[Tensor, "V 3"]:
@@ -133,6 +147,7 @@ class Session:
         key = (
             *(self.mode, self.bake, self.order, self.window, self.environment, self.exposure),
             *(tuple(self.rotation.flatten().tolist()), self.orbit if self.follows_eye else None),
+            self.seconds if self.follows_pose else None,
         )
         if self._shown is None or self._shown[0] != key:
             self._shown = key, self._error() if self.mode == "error" else self._display(self.radiance())
@@ -152,7 +167,7 @@ class Session:
         """The transfer function of the picked vertex, as a surface on the model; None if none is picked."""
         if self.picked is None:
             return None
-        coefficients = self._relight(self._stored()).transfer_of(self.picked, self.eye).mean(-1)
+        coefficients = self._relight(self._stored()).transfer_of(self.picked, self.eye, self._pose()).mean(-1)
         return lobe(coefficients[: self.order**2], self.positions[self.picked], LOBE * self.radius)
 
     def status(self) -> list[str]:
@@ -216,6 +231,21 @@ class Session:
         self.exposure += stops
         return f"exposure: {self.stops:+.1f} stops"
 
+    def play(self) -> str:
+        """Starts or stops the model's motion, if what is shown can follow it."""
+        if not self.follows_pose:
+            return "this bake stands still: give one in zonal lobes, which follows the pose"
+        self.playing = not self.playing
+        return f"animation: {'on' if self.playing else 'off'}"
+
+    def advance(self, seconds: float) -> None:
+        """Lets time pass: the model moves if it is playing; transfer that does not follow it is shown at rest."""
+        if self.playing:
+            self.seconds += seconds
+        moved = self.seconds != 0 and self.follows_pose
+        if self.playing or moved != (self.positions is not self.rest):
+            self.positions = self._animation.at(self.seconds) if moved else self.rest
+
     def turn_camera(self, right: float, down: float) -> None:
         """As if the model's near side was dragged by these angles in radians."""
         self.orbit = self.orbit.turned(right, down)
@@ -230,12 +260,13 @@ class Session:
     def reset(self) -> str:
         """Camera and light as they were in the beginning."""
         self.orbit, self.rotation = self._home, torch.eye(3)
+        self.seconds, self.playing = 0.0, False
         return "camera and light as in the beginning"
 
     def pick(self, x: float, y: float, width: int, height: int) -> str:
         """Picks the vertex nearest to what is seen at a point of the window; none where nothing is seen."""
-        if self._tracer is None:
-            self._tracer = Tracer(self.positions, self.faces)
+        if self._tracer is None or self._traced is not self.positions:
+            self._tracer, self._traced = Tracer(self.positions, self.faces), self.positions
         ray = self.camera.through(torch.tensor([[x]]).double(), torch.tensor([[y]]).double(), width, height)
         hit = self._tracer.camera(self.eye, ray)
         triangle = int(hit.triangle)
@@ -271,7 +302,17 @@ class Session:
         return self._relights[name]
 
     def _shade(self, name: str, light: Tensor) -> Tensor:
-        return self._relight(name)(light[: self._all[name].order ** 2], self.eye)
+        return self._relight(name)(light[: self._all[name].order ** 2], self.eye, self._pose())
+
+    def _normals(self) -> Tensor:
+        pose = self._pose()
+        if pose is None:
+            return self.normals
+        frames = self._relight(self._stored()).shader.estimate(pose)
+        return (frames @ self.normals[..., None].to(frames))[..., 0].float()
+
+    def _pose(self) -> Tensor | None:
+        return None if self.positions is self.rest else self.positions
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""

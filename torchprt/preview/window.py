@@ -114,6 +114,7 @@ class Window:
         self.drawing = Drawing(open3d, self.viewer, session)
         self._events: list[Event] = []
         self._ticks: list[float] = []
+        self._now = time.perf_counter()
         self._listen()
 
     def run(self) -> None:
@@ -132,6 +133,9 @@ class Window:
             self.controls.take(event)
         if self.controls.closing:
             return False
+        now = time.perf_counter()
+        self.session.advance(now - self._now)
+        self._now = now
         if self.drawing.update(self.controls.size, self._lines()) or self.controls.rate:
             self.viewer.update_renderer()
             self._count()
