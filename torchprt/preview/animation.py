@@ -25,7 +25,9 @@ class Animation:
     Raises InputError if there are no poses, or not of as many vertices, or one is not finite.
     """
 
-    def __init__(self, rest: Float[Tensor, "V 3"], poses: Float[Tensor, "T V 3"] | None = None, *, rate: float = 24.0):
+    def __init__(
+        self, rest: Float[Tensor, "V 3"], poses: Float[Tensor, "T W 3"] | None = None, *, rate: float | int = 24.0
+    ):
         if poses is not None and (len(poses) == 0 or poses.shape[1] != len(rest)):
             raise InputError(
                 f"poses are {len(poses)} of {poses.shape[1]} vertices: give one or more, each of {len(rest)}"
@@ -38,7 +40,7 @@ class Animation:
         low, high = float(rest[:, 1].min()), float(rest[:, 1].max())
         self._range = low + FIXED * (high - low), high
 
-    def at(self, seconds: float) -> Float[Tensor, "V 3"]:
+    def at(self, seconds: float | int) -> Float[Tensor, "V 3"]:
         """Positions of the vertices at a time; the rest pose at 0 if no poses were given."""
         if self.poses is None:
             low, high = self._range

@@ -44,7 +44,7 @@ def sphere(rings: int) -> tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]]:
 
 
 def lobe(
-    coefficients: Float[Tensor, "N"], place: Float[Tensor, "3"], size: float, *, rings: int = RINGS
+    coefficients: Float[Tensor, "N"], place: Float[Tensor, "3"], size: float | int, *, rings: int = RINGS
 ) -> Lobe | None:
     """The function of SH `coefficients` as a surface around `place` that reaches `size` far; None if it is zero."""
     directions, faces = sphere(rings)

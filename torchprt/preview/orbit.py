@@ -61,18 +61,20 @@ class Orbit:
         x, y, z = (middle + self.distance * part for middle, part in zip(self.target, away, strict=True))
         return Camera((x, y, z), self.target, field=self.field)
 
-    def turned(self, right: float, down: float) -> Orbit:
+    def turned(self, right: float | int, down: float | int) -> Orbit:
         """After a drag of the model's near side by these angles in radians."""
         pitch = max(-STEEPEST, min(STEEPEST, self.pitch + down))
         return replace(self, yaw=math.remainder(self.yaw - right, 2 * math.pi), pitch=pitch)
 
-    def zoomed(self, steps: float) -> Orbit:
+    def zoomed(self, steps: float | int) -> Orbit:
         """Nearer by `steps` of the wheel."""
         distance = self.distance * STEP**steps
         return replace(self, distance=max(NEAREST * self.first, min(FARTHEST * self.first, distance)))
 
 
-def dragged(rotation: Float[Tensor, "3 3"], camera: Camera, right: float, down: float) -> Float[Tensor, "3 3"]:
+def dragged(
+    rotation: Float[Tensor, "3 3"], camera: Camera, right: float | int, down: float | int
+) -> Float[Tensor, "3 3"]:
     """`rotation` followed by a drag of the near side of the world: about the camera's up, then about its right."""
     _, sideways, above = camera.axes()
     turn = _about(sideways, down) @ _about(above, right) @ rotation.double()
@@ -81,6 +83,6 @@ def dragged(rotation: Float[Tensor, "3 3"], camera: Camera, right: float, down: 
     return (u @ v).to(rotation.dtype)
 
 
-def _about(axis: Float[Tensor, "3"], angle: float) -> Float[Tensor, "3 3"]:
+def _about(axis: Float[Tensor, "3"], angle: float | int) -> Float[Tensor, "3 3"]:
     x, y, z = (angle * axis).tolist()
     return torch.linalg.matrix_exp(torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64))

@@ -72,7 +72,7 @@ class Relight:
             return shader.fix_eye(eye=eye).transfer[..., vertex].T.expand(-1, 3)
         if hasattr(shader, "transfer"):
             albedo = shader.albedo[vertex if len(shader.albedo) > 1 else 0]
-            return shader.transfer[..., vertex].T * albedo
+            return (shader.transfer[..., vertex].T * albedo).expand(-1, 3)
         # Linear in the light: one of each coefficient at a time.
         count = shader.order**2
         lights = torch.eye(count)[..., None].expand(count, count, 3)

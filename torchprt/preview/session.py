@@ -24,6 +24,7 @@ from torchprt.shade import display, shader
 from torchprt.shade.display import ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import BakedTransfer, Transfer
+from torchprt.transfer.glossy import Layers
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
 UNBAKED = ("unshadowed", "one lamp")
@@ -32,6 +33,8 @@ WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 BACKDROPS = ("plain", "environment", "environment in bands")
 WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
+CLUSTERS = 256
+"""Of what is compressed here, or a sixteenth of the receivers if they are few."""
 LOBE = 0.35
 """How far a transfer function reaches, in radii of the model."""
 
@@ -145,7 +148,7 @@ class Session:
     def colours(self) -> Float[Tensor, "V 3"]:
         """sRGB in [0, 1] of every vertex; the same tensor as before if nothing has changed that it depends on."""
         key = (
-            *(self.mode, self.bake, self.order, self.window, self.environment, self.exposure),
+            *(self.mode, self.bake, self.packed, self.order, self.window, self.environment, self.exposure),
             *(tuple(self.rotation.flatten().tolist()), self.orbit if self.follows_eye else None),
             self.seconds if self.follows_pose else None,
         )
@@ -227,7 +230,7 @@ class Session:
         self.backdrop = _after(BACKDROPS, self.backdrop)
         return f"behind: {self.backdrop}"
 
-    def expose(self, stops: float) -> str:
+    def expose(self, stops: float | int) -> str:
         self.exposure += stops
         return f"exposure: {self.stops:+.1f} stops"
 
@@ -238,7 +241,7 @@ class Session:
         self.playing = not self.playing
         return f"animation: {'on' if self.playing else 'off'}"
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds: float | int) -> None:
         """Lets time pass: the model moves if it is playing; transfer that does not follow it is shown at rest."""
         if self.playing:
             self.seconds += seconds
@@ -246,15 +249,15 @@ class Session:
         if self.playing or moved != (self.positions is not self.rest):
             self.positions = self._animation.at(self.seconds) if moved else self.rest
 
-    def turn_camera(self, right: float, down: float) -> None:
+    def turn_camera(self, right: float | int, down: float | int) -> None:
         """As if the model's near side was dragged by these angles in radians."""
         self.orbit = self.orbit.turned(right, down)
 
-    def turn_light(self, right: float, down: float) -> None:
+    def turn_light(self, right: float | int, down: float | int) -> None:
         """As if the near side of the environment was dragged by these angles in radians."""
         self.rotation = dragged(self.rotation, self.camera, right, down)
 
-    def zoom(self, steps: float) -> None:
+    def zoom(self, steps: float | int) -> None:
         self.orbit = self.orbit.zoomed(steps)
 
     def reset(self) -> str:
@@ -263,7 +266,7 @@ class Session:
         self.seconds, self.playing = 0.0, False
         return "camera and light as in the beginning"
 
-    def pick(self, x: float, y: float, width: int, height: int) -> str:
+    def pick(self, x: float | int, y: float | int, width: int, height: int) -> str:
         """Picks the vertex nearest to what is seen at a point of the window; none where nothing is seen."""
         if self._tracer is None or self._traced is not self.positions:
             self._tracer, self._traced = Tracer(self.positions, self.faces), self.positions
@@ -289,9 +292,10 @@ class Session:
     def _compress(self, name: str) -> str:
         from torchprt.compress import compress
 
-        made = f"{name}, compressed here"
+        made, bake = f"{name}, compressed here", self._all[name]
         if made not in self._all:
-            self._all[made] = compress(self._all[name])
+            receivers = len(bake.glossy) if isinstance(bake, Layers) else bake.vertices
+            self._all[made] = compress(bake, clusters=max(1, min(CLUSTERS, receivers // 16)))
         return made
 
     def _relight(self, name: str) -> Relight:

@@ -39,7 +39,7 @@ class Studio:
         environment: Environment,
         *,
         size: tuple[int, int] = (800, 600),
-        exposure: float = 0.0,
+        exposure: float | int = 0.0,
         tone: ToneMap = "filmic",
         backdrop: bool = False,
         samples: int = 2,
@@ -95,7 +95,9 @@ def strip(pictures: Sequence[Float[Tensor, "H W 3"]], columns: int | None = None
     return torch.cat([torch.cat(cells[row * columns : (row + 1) * columns], 1) for row in range(rows)])
 
 
-def save_gif(pictures: Sequence[Float[Tensor, "H W 3"]], path: str | os.PathLike[str], rate: float = 15.0) -> None:
+def save_gif(
+    pictures: Sequence[Float[Tensor, "H W 3"]], path: str | os.PathLike[str], rate: float | int = 15.0
+) -> None:
     """Writes sRGB pictures in [0, 1] as an animation that repeats, `rate` a second.
 
     Raises InputError without pictures, unless 0 < rate <= 50 (viewers slow down what is faster), or if `path` cannot be

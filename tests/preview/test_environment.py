@@ -1,0 +1,84 @@
+"""Is what stands behind the model the environment that lights it?"""
+
+import math
+
+import pytest
+import torch
+
+from torchprt import light, sh
+from torchprt.errors import InputError
+from torchprt.preview import automatic_exposure, photograph, seen_along
+from torchprt.shade import display
+
+EPS = torch.finfo(torch.float32).eps
+
+
+def ramp(height=32):
+    """A map that is linear in the direction, so that it has no features below a texel."""
+    directions = sh.latlong_directions(height, 2 * height, dtype=torch.float32)
+    return 2 + directions
+
+
+def directions(count=500, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+
+
+@pytest.mark.parametrize("shape", [(4, 4, 3), (8, 4, 3), (0, 0, 3)])
+def test_refuses_what_is_no_latitude_longitude_map(shape):
+    with pytest.raises(InputError, match="no latitude-longitude map"):
+        seen_along(torch.zeros(shape), torch.ones(1, 3))
+
+
+def test_the_middle_of_a_texel_reads_that_texel():
+    image = torch.rand(9, 18, 3, generator=torch.Generator().manual_seed(1))
+    along = sh.latlong_directions(9, 18, dtype=torch.float64)
+    # The map is read where an angle in float32 says: some roundings of a place up to 18 texels.
+    torch.testing.assert_close(seen_along(image, along), image, rtol=0, atol=100 * EPS)
+
+
+@pytest.mark.parametrize("axis", [(0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0)])
+@pytest.mark.parametrize("length", [1e-15, 1.0, 1e15])
+def test_poles_and_the_seam_read_what_is_there(axis, length):
+    along = length * torch.tensor([axis], dtype=torch.float32)
+    found = seen_along(ramp(64), along)
+    # Poles and texels lie half a texel apart at most, 1.4 degrees.
+    torch.testing.assert_close(found, 2 + along / length, rtol=0, atol=math.pi / 64)
+
+
+def test_the_turned_map_shows_the_turned_light():
+    turn = sh.yaw_pitch_roll(torch.tensor([70.0, 20.0, -40.0]))
+    along = directions()
+    # f(R^T s), by one direction after the other.
+    wanted = torch.stack([2 + turn.T @ each for each in along])
+    torch.testing.assert_close(seen_along(ramp(128), along, turn), wanted, rtol=0, atol=2e-3)
+
+
+def test_a_photograph_of_a_light_projects_back_to_it():
+    lamp = light.constant((1.0, 2.0, 3.0), 4).float()
+    lamp[2] = torch.tensor([0.3, -0.2, 0.1])
+    picture = photograph(lamp, 64)
+    assert picture.shape == (64, 128, 3)
+    # The midpoint rule on 64 rows errs by a few of their squared height, 2.4e-3.
+    torch.testing.assert_close(light.project(picture, 4), lamp, rtol=0, atol=5e-3)
+
+
+def test_a_photograph_is_black_where_the_light_rings():
+    lamp = light.disc((0.0, 1.0, 0.0), 0.1, 1.0, 5).float()
+    picture = photograph(lamp)
+    assert float(picture.min()) == 0
+    assert float(picture.max()) > 0
+
+
+@pytest.mark.parametrize("radiance", [1e-20, 0.3, 1.0, 1e20])
+def test_automatic_exposure_shows_lights_of_any_strength_alike(radiance):
+    lamp = light.constant(radiance, 3).float()
+    shown = display(torch.full((1, 3), radiance), exposure=automatic_exposure(lamp), tone="none")
+    one = display(torch.ones(1, 3), exposure=automatic_exposure(light.constant(1.0, 3).float()), tone="none")
+    # Stops of some 66 round to 1e-5 of the value.
+    torch.testing.assert_close(shown, one, rtol=0, atol=1e-5)
+    assert 0.4 < float(shown.mean()) < 0.9
+
+
+def test_a_black_light_is_not_exposed():
+    assert automatic_exposure(torch.zeros(4, 3)) == 0.0
