@@ -13,8 +13,9 @@ from google.protobuf.message import DecodeError
 
 from torchprt.errors import InputError
 from torchprt.onnx.operators import count_operators
-from torchprt.transfer import BakedTransfer, DiffuseTransfer, IncidentTransfer
+from torchprt.transfer import BakedTransfer, ClusteredIncidentTransfer, CompressedTransfer, IncidentTransfer
 from torchprt.transfer.file import CONVENTIONS
+from torchprt.transfer.kinds import DIFFUSE
 from torchprt.version import VERSION
 
 FORMAT = 1
@@ -39,7 +40,7 @@ KEYS = (
 )  # fmt: skip
 
 
-def metadata(transfer: BakedTransfer, about: dict[str, Any]) -> dict[str, str]:
+def metadata(transfer: BakedTransfer | CompressedTransfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
     `about`: what the arguments of the export add. Glossy transfer adds the metadata of its kind, `glossy` (how many
@@ -64,12 +65,12 @@ def metadata(transfer: BakedTransfer, about: dict[str, Any]) -> dict[str, str]:
         **provenance,
         "baked_with": transfer.version,
     }
-    if not isinstance(transfer, DiffuseTransfer):
+    if not isinstance(transfer, DIFFUSE):
         entries |= about | {
             "glossy": len(transfer.glossy),
             "specular": "applied, one for all" if transfer.specular.shape[0] == 1 else "applied, one a receiver",
         }
-    if isinstance(transfer, IncidentTransfer):
+    if isinstance(transfer, IncidentTransfer | ClusteredIncidentTransfer):
         entries["output_order"] = transfer.output_order
     return {key: json.dumps(value) for key, value in entries.items()}
 

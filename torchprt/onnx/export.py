@@ -22,7 +22,7 @@ from torchprt.onnx.graph import Source
 from torchprt.onnx.operators import OPSET, check_operators, count_operators
 from torchprt.onnx.parity import ParityError, ParityReport, compare
 from torchprt.onnx.plan import Plan, plan
-from torchprt.transfer import ClusteredGlossyTransfer, ClusteredTransfer, Transfer
+from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 
 
@@ -75,15 +75,11 @@ def export(
     ParityError if they differ, and then no file is left.
 
     Raises InputError, before anything is written, if the transfer is empty or holds a value that is not finite, the
-    weights exceed the 2 GB that one file can hold, the transfer is clustered, or an argument cannot be used.
+    weights exceed the 2 GB that one file can hold, or an argument cannot be used.
     """
     path = Path(path)
     if path.suffix != ".onnx":
         raise InputError(f"{path} must end in .onnx")
-    if isinstance(transfer, ClusteredTransfer | ClusteredGlossyTransfer):
-        raise InputError(
-            f"transfer of kind '{transfer.kind}' cannot be exported: export what `compress.decompress` makes of it"
-        )
     planned = plan(transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent)
     transfer.check()
     with atomic(path) as temporary:

@@ -7,13 +7,15 @@ import math
 import torch
 from torch import Tensor, nn
 
+from torchprt.onnx.clustered import ClusteredLayer, FixedTable, in_blocks
 from torchprt.onnx.eye import Eye, EyeGraph
 from torchprt.onnx.graph import DiffuseGraph, Source, fold, make_graph
 from torchprt.shade import FactoredShader, FixedLightShader, ViewShader
+from torchprt.shade.clustered import ClusteredMatrix
 from torchprt.shade.glossy import MatrixShader
-from torchprt.transfer import DiffuseTransfer, FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
-
-ViewTransfer = GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer
+from torchprt.shade.view import ViewTransfer
+from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer.clustered import ClusteredLayers
 
 
 class GlossyGraph(nn.Module):
@@ -25,9 +27,11 @@ class GlossyGraph(nn.Module):
     def __init__(self, shader: ViewShader, transfer: ViewTransfer, source: Source, size: int, eye: Eye) -> None:
         super().__init__()
         self.diffuse: DiffuseGraph = make_graph(diffuse_layer(transfer), source, size)
+        if isinstance(transfer, ClusteredLayers):
+            shader = in_blocks(shader, transfer)
         self.eye = EyeGraph(shader.frames, shader.points if eye == "point" else None)
         self.exits = exit_graph(shader)
-        self.layer = MatrixLayer(shader) if isinstance(shader, MatrixShader) else VectorLayer(shader)
+        self.layer = _layer(shader)
         self.spread = Spread(shader.glossy, shader.vertices)
 
     def forward(self, light: Tensor, rotation: Tensor, eye: Tensor) -> Tensor:
@@ -39,22 +43,38 @@ class GlossyGraph(nn.Module):
 class FixedLightGraph(nn.Module):
     """`eye [B, 3]` to `radiance [B, V, 3]` under one light that is inside, all float32."""
 
-    coefficients: Tensor
     diffuse: Tensor | None
 
-    def __init__(self, fixed: FixedLightShader, shader: ViewShader, eye: Eye) -> None:
-        """`fixed`: of `shader.fix_light`, without a batch."""
+    def __init__(self, shader: ViewShader, transfer: ViewTransfer, light: Tensor, eye: Eye) -> None:
+        """`light [N, 3]`."""
         super().__init__()
+        fixed = shader.fix_light(light.to(shader.specular.dtype))
+        if isinstance(shader, ClusteredMatrix) and isinstance(transfer, ClusteredLayers):
+            shader = in_blocks(shader, transfer)
+            self.layer: nn.Module = FixedTable(ClusteredLayer(shader), light)
+        else:
+            self.layer = FixedCoefficients(fixed)
         self.eye = EyeGraph(shader.frames, shader.points if eye == "point" else None)
         self.exits = exit_graph(shader)
-        self.register_buffer("coefficients", fixed.coefficients.float().contiguous())
         self.register_buffer("diffuse", None if fixed.radiance is None else fixed.radiance.float().contiguous())
         self.spread = Spread(shader.glossy, shader.vertices)
 
     def forward(self, eye: Tensor) -> Tensor:
-        values = self.exits(self.eye(eye))
-        radiance = self.spread((self.coefficients * values.unsqueeze(1)).sum(2))
+        radiance = self.spread(self.layer(self.exits(self.eye(eye))))
         return (radiance if self.diffuse is None else radiance + self.diffuse).mT
+
+
+class FixedCoefficients(nn.Module):
+    """Exit values `[B, M, G]` to radiance `[B, 3, G]` under one light that is inside."""
+
+    coefficients: Tensor
+
+    def __init__(self, fixed: FixedLightShader) -> None:
+        super().__init__()
+        self.register_buffer("coefficients", fixed.coefficients.float().contiguous())
+
+    def forward(self, values: Tensor) -> Tensor:
+        return (self.coefficients * values.unsqueeze(1)).sum(2)
 
 
 class ExitGraph(nn.Module):
@@ -112,6 +132,12 @@ class FactorGraph(nn.Module):
 
 def exit_graph(shader: ViewShader) -> ExitGraph | FactorGraph:
     return FactorGraph(shader.factors) if isinstance(shader, FactoredShader) and not shader.views else ExitGraph(shader)
+
+
+def _layer(shader: ViewShader) -> nn.Module:
+    if isinstance(shader, ClusteredMatrix):
+        return ClusteredLayer(shader)
+    return MatrixLayer(shader) if isinstance(shader, MatrixShader) else VectorLayer(shader)
 
 
 class MatrixLayer(nn.Module):
@@ -174,7 +200,8 @@ class Spread(nn.Module):
     def __init__(self, glossy: Tensor, vertices: int) -> None:
         super().__init__()
         place = torch.full((vertices,), len(glossy)).index_put((glossy,), torch.arange(len(glossy)))
-        self.register_buffer("place", place if len(glossy) < vertices else None)
+        whole = torch.equal(place, torch.arange(len(glossy)))
+        self.register_buffer("place", None if whole else place)
         self.register_buffer("zero", torch.zeros(1, 1, 1))
 
     def forward(self, radiance: Tensor) -> Tensor:

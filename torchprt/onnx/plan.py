@@ -10,12 +10,24 @@ import torch
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.onnx.clustered import BLOCK, ClusteredGraph
 from torchprt.onnx.eye import Eye
-from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph, ViewTransfer
+from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph
 from torchprt.onnx.graph import Source, make_graph
 from torchprt.onnx.parity import Module
 from torchprt.shade import DiffuseShader, EnvironmentShader, FixedEyeShader, FixedLightShader, ViewShader, shader
-from torchprt.transfer import BakedTransfer, DiffuseTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.shade.view import ViewTransfer
+from torchprt.transfer import (
+    BakedTransfer,
+    ClusteredIncidentTransfer,
+    ClusteredTransfer,
+    ClusteredVisibilityTransfer,
+    CompressedTransfer,
+    DiffuseTransfer,
+    IncidentTransfer,
+    VisibilityTransfer,
+)
+from torchprt.transfer.clustered import ClusteredLayers, Clusters
 
 Exponent: TypeAlias = float | int | Tensor | None
 
@@ -38,7 +50,7 @@ class Plan:
 
 
 def plan(
-    transfer: BakedTransfer,
+    transfer: BakedTransfer | CompressedTransfer,
     *,
     source: Source,
     size: int,
@@ -60,7 +72,7 @@ def plan(
     inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
     about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
-    if isinstance(transfer, DiffuseTransfer):
+    if isinstance(transfer, DiffuseTransfer | ClusteredTransfer):
         given = {
             "eye": None if eye == "point" else eye,
             "fix_eye": fix_eye,
@@ -70,16 +82,24 @@ def plan(
         for name, value in given.items():
             if value is not None:
                 raise InputError(f"{name} is given, but diffuse transfer has neither eye nor lobe: omit it")
-        _check_weights(transfer.transfer.numel() + _apart(transfer.albedo, transfer.channels) + texels)
+        if isinstance(transfer, ClusteredTransfer):
+            stored = _representatives(transfer) + transfer.albedo.numel()
+        else:
+            stored = transfer.transfer.numel() + _apart(transfer.albedo, transfer.channels)
+        _check_weights(stored + texels)
         return Plan(
             inputs,
             transfer.vertices,
             about,
-            lambda: make_graph(transfer, source, size),
+            lambda: (
+                ClusteredGraph(transfer, source, size)
+                if isinstance(transfer, ClusteredTransfer)
+                else make_graph(transfer, source, size)
+            ),
             lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
         )
     about |= {"eye": eye, "fixed": None}
-    if isinstance(transfer, IncidentTransfer):
+    if isinstance(transfer, IncidentTransfer | ClusteredIncidentTransfer):
         if exponent is None:
             raise InputError(
                 "transfer of kind 'incident' has no reflectance: give exponent (of a Phong lobe), or export what "
@@ -122,11 +142,10 @@ def plan(
             {name: (3,)},
             transfer.vertices,
             about | {"source": None, "fixed": "light"},
-            lambda: FixedLightGraph(lit(), _shader(transfer, torch.float32, exponent), eye),
+            lambda: FixedLightGraph(_shader(transfer, torch.float64, exponent), transfer, light, eye),
             lit,
         )
-    stored = transfer.visibility if isinstance(transfer, VisibilityTransfer) else transfer.matrix
-    weights = stored.numel() + _apart(transfer.specular, transfer.channels) + _places(transfer)
+    weights = _stored(transfer) + _apart(transfer.specular, transfer.channels) + _places(transfer)
     weights += transfer.diffuse.numel() + _apart(transfer.albedo, transfer.channels) + texels
     _check_weights(weights, glossy=True)
     return Plan(
@@ -184,7 +203,22 @@ def _places(transfer: ViewTransfer) -> int:
 
 
 def _rows(transfer: ViewTransfer) -> int:
-    return len(transfer.kernel) if isinstance(transfer, VisibilityTransfer) else transfer.matrix.shape[2]
+    if isinstance(transfer, VisibilityTransfer | ClusteredVisibilityTransfer):
+        return len(transfer.kernel)
+    return transfer.shared.shape[2] if isinstance(transfer, ClusteredLayers) else transfer.matrix.shape[2]
+
+
+def _stored(transfer: ViewTransfer) -> int:
+    """Numbers of the glossy layer."""
+    if isinstance(transfer, ClusteredLayers):
+        return _representatives(transfer)
+    return (transfer.visibility if isinstance(transfer, VisibilityTransfer) else transfer.matrix).numel()
+
+
+def _representatives(transfer: Clusters) -> int:
+    """Numbers of the representatives, and of the weights, at most: blocks are filled, counts rounded up."""
+    filled = 2 * (len(transfer.weights) + len(transfer.label)) + BLOCK * len(transfer.basis)
+    return transfer.mean.numel() + transfer.basis.numel() + transfer.shared.numel() + filled
 
 
 def _check_weights(count: int, glossy: bool = False) -> None:

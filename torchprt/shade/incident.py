@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from typing import Any, overload
 
 import torch
 from jaxtyping import Float
@@ -14,7 +15,7 @@ from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
 from torchprt.shade.glossy import MatrixShader
 from torchprt.shade.view import with_normals
-from torchprt.transfer import ClusteredIncidentTransfer, GlossyTransfer, IncidentTransfer
+from torchprt.transfer import ClusteredGlossyTransfer, ClusteredIncidentTransfer, GlossyTransfer, IncidentTransfer
 
 _EXPONENT = 40.0
 _CHUNK = 4096
@@ -105,25 +106,45 @@ class IncidentShader(MatrixShader):
         return basis(mirrored, self.incident_order) * phong(self.exponent, self.incident_order)[..., self.band]
 
 
+@overload
 def with_material(
     incident: IncidentTransfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
-) -> GlossyTransfer:
+) -> GlossyTransfer: ...
+@overload
+def with_material(
+    incident: ClusteredIncidentTransfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
+) -> ClusteredGlossyTransfer: ...
+def with_material(
+    incident: IncidentTransfer | ClusteredIncidentTransfer,
+    brdf: Brdf,
+    output_order: int | None = None,
+    projection: Projection = "optimal",
+) -> GlossyTransfer | ClusteredGlossyTransfer:
     """The glossy transfer of receivers that all have `brdf`: `brdf.exit_chain @ matrix`, in float64.
 
     `output_order`: of the exit functions, that of `incident` if omitted. Light that bounced is as the materials of
     `incident` reflected it. The result lacks what `incident` lacks above its own order, which a bake of glossy
-    transfer does not; `exit_error` is therefore not stated.
+    transfer does not; `exit_error` is therefore not stated. Of clustered transfer the representatives are multiplied,
+    and `squared_error` stays that of the incident matrices.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3 and 9.
     """
     order = output_order or incident.output_order
-    chain = exit_chain(brdf, order, incident.output_order, projection).to(incident.matrix.device, torch.float64)
+    chain = exit_chain(brdf, order, incident.output_order, projection).to(incident.positions.device, torch.float64)
+    made: dict[str, Any] = {"materials": [brdf.spec], "output_order": order, "projection": projection}
+    shared = {field.name: getattr(incident, field.name) for field in dataclasses.fields(incident)}
+    if isinstance(incident, ClusteredIncidentTransfer):
+        shape = incident.shared.shape[1:]
+        names = ("shared",) if len(incident.shared) else ("mean", "basis")
+        for name in names:
+            rows = getattr(incident, name)
+            product = chain @ rows.reshape(-1, *shape).double()
+            made[name] = product.to(rows.dtype)
+        if "shared" not in made:
+            made["shared"] = made["mean"][:0]
+            made |= {name: made[name].flatten(1) for name in names}
+        return ClusteredGlossyTransfer(**shared | made)
     matrix = incident.matrix.new_empty(*incident.matrix.shape[:2], *(len(chain), incident.matrix.shape[3]))
     for start in range(0, len(incident.glossy), _CHUNK):
         part = slice(start, start + _CHUNK)
         matrix[:, part] = (chain @ incident.matrix[:, part].double()).to(matrix.dtype)
-    shared = {
-        field.name: getattr(incident, field.name)
-        for field in dataclasses.fields(incident)
-        if field.name not in ("matrix", "materials")
-    }
-    return GlossyTransfer(**shared, matrix=matrix, materials=[brdf.spec], output_order=order, projection=projection)
+    return GlossyTransfer(**shared | made | {"matrix": matrix})
