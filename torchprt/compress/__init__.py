@@ -1,5 +1,6 @@
 """Compression of transfer: clusters of points, each in an affine subspace of its own."""
 
+from .bilinear import fit_bilinear as fit_bilinear
 from .clusters import vector_quantise as vector_quantise
 from .coherence import make_coherent as make_coherent
 from .coherence import overdraw as overdraw
@@ -21,6 +22,7 @@ __all__ = [
     "clustered_pca",
     "compress",
     "decompress",
+    "fit_bilinear",
     "light_importance",
     "make_coherent",
     "natural_light_importance",

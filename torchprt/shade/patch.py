@@ -218,4 +218,5 @@ def _mix(values: Float[Tensor, "*C T"], taps: Int[Tensor, "4 V"], weights: Float
 def _any_tangent(normal: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
     """A vector across each normal: from the coordinate axis that it has least of."""
     least = torch.nn.functional.one_hot(normal.detach().abs().argmin(-1), 3).to(normal)
+    least = least * (normal.detach().abs().amax(-1, keepdim=True) > 0)
     return least - (least * normal).sum(-1, keepdim=True) * normal
