@@ -12,7 +12,7 @@ const AGAIN = "Write the page again with torchprt export --web, and copy the who
 
 class Viewer {
   constructor(about, mesh, model, compressed, pictures) {
-    Object.assign(this, { about, mesh, model, compressed, pictures });
+    Object.assign(this, { about, mesh, model, compressed, pictures, spare: model });
     this.view = new View(at("canvas"), mesh.geometry, about);
     this.view.onchange = () => this.#draw();
     this.turn = new Quaternion();
@@ -57,7 +57,18 @@ class Viewer {
 
   async #timed(model, light) {
     const start = performance.now();
-    const radiance = await model.shade(light, this.rotation, this.view.eye.toArray());
+    const eye = this.view.eye.toArray();
+    let radiance;
+    try {
+      radiance = await model.shade(light, this.rotation, eye);
+    } catch (fault) {
+      // A graphics card can be lost at any time.
+      if (model.where !== "webgpu") throw fault;
+      console.info(`WebGPU stopped: ${fault.message}`);
+      this.model = this.spare;
+      this.times = [];
+      radiance = await this.spare.shade(light, this.rotation, eye);
+    }
     this.times = [...this.times.slice(-30), performance.now() - start];
     return radiance;
   }
@@ -271,6 +282,7 @@ async function start() {
   if (!document.createElement("canvas").getContext("webgl2")) throw new Error("this browser shows no WebGL 2");
   if (typeof WebAssembly !== "object") throw new Error("this browser runs no WebAssembly");
   const runtime = prepare();
+  runtime.catch(() => {}); // told of below, where it is waited for
   const described = await json("scene.json");
   document.title = described.title;
   at("title").textContent = described.title;
@@ -293,7 +305,8 @@ async function start() {
   at("loading").hidden = true;
   document.body.dataset.ready = Math.round(performance.now());
   window.torchprt = viewer;
-  await race(viewer, "model.onnx");
+  viewer.raced = race(viewer, "model.onnx");
+  await viewer.raced;
 }
 
 start().catch((fault) => window.complain("The model cannot be shown", `${fault.message ?? fault}. ${AGAIN}`));

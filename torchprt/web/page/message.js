@@ -12,25 +12,26 @@ function complain(title, text) {
 }
 
 window.complain = complain;
-window.addEventListener("DOMContentLoaded", () => {
-  if (location.protocol === "file:") {
-    complain(
-      "This page needs a web server",
-      "Browsers do not let a page read the files beside it from a disk. Put the folder on any static web server, or " +
-        "run: torchprt serve FOLDER",
-    );
-  }
-});
-// A script or module that is missing reports to itself alone: the event does not rise, but it can be caught.
+const onDisk = () =>
+  complain(
+    "This page needs a web server",
+    "Browsers do not let a page read the files beside it from a disk. Put the folder on any static web server, or run: " +
+      "torchprt serve FOLDER",
+  );
+// What a script or module that is missing reports does not rise to the window, but can be caught on its way down.
 window.addEventListener(
   "error",
   (event) => {
-    const source = event.target instanceof HTMLScriptElement ? event.target.src : event.filename;
-    if (event.target instanceof HTMLImageElement) return;
-    complain("This page is not complete", `${source || "a script"}: ${event.message || "could not be loaded"}. Write the page again with torchprt export --web.`);
+    if (location.protocol === "file:") return onDisk();
+    const script = event.target instanceof HTMLScriptElement;
+    if (!script && !event.message) return;
+    const what = script
+      ? `${event.target.src}, or a module that it imports, could not be loaded`
+      : `${event.filename}: ${event.message}`;
+    complain("This page is not complete", `${what}. Write the page again with torchprt export --web.`);
   },
   true,
 );
 window.addEventListener("unhandledrejection", (event) => {
-  complain("The page stopped", `${event.reason?.message ?? event.reason}`);
+  complain("The page stopped", `${event.reason?.message ?? event.reason}. Load it again.`);
 });

@@ -13,8 +13,12 @@ async function unpacked(url) {
   const content = await bytes(url);
   const [first, second] = new Uint8Array(content, 0, 2);
   if (first !== 0x1f || second !== 0x8b) return content;
-  const stream = new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Response(stream).arrayBuffer();
+  try {
+    const stream = new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return await new Response(stream).arrayBuffer();
+  } catch (fault) {
+    throw new Error(`${url} is damaged`, { cause: fault });
+  }
 }
 
 async function load(name) {
@@ -63,7 +67,7 @@ export class Model {
   static async #create(ort, content, name, url) {
     let session;
     try {
-      session = await ort.InferenceSession.create(content, { executionProviders: [name] });
+      session = await ort.InferenceSession.create(content, { executionProviders: [name], logSeverityLevel: 3 });
     } catch (fault) {
       throw new Error(`ONNX Runtime cannot read ${url} (${fault.message ?? fault})`, { cause: fault });
     }
