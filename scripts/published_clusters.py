@@ -75,8 +75,6 @@ def kept(name: str, scene: Scene, **options: Any) -> Any:
     """The bake of OUT/name, made if it is not there."""
     path = OUT / f"{name}.safetensors"
     if not path.is_file():
-        # The smooth field of tangents is what is asked for.
-        warnings.simplefilter("ignore", TangentWarning)
         save(bake(scene, rays=1024, progress=False, **options), path)
     return load(path)
 
@@ -369,6 +367,8 @@ FIGURES: dict[str, Callable[[], Table]] = {
 def run(names: list[str]) -> None:
     """Prints every table and writes every picture, or those that are named."""
     torch.set_num_threads(1)
+    # The smooth field of tangents is what is asked for.
+    warnings.simplefilter("ignore", TangentWarning)
     OUT.mkdir(parents=True, exist_ok=True)
     console = Console(width=None if sys.stdout.isatty() else 140)
     started = time.perf_counter()

@@ -98,7 +98,7 @@ def environments(order: int) -> dict[str, Tensor]:
         return {name: light.project(image, order).double() for name, image in found.items()}
     return {
         "studio": light.project(light.studio(256), order).double(),
-        "overcast": light.overcast_sky(1.0, order).double(),
+        "overcast": light.overcast_sky(1.0, (0.0, 1.0, 0.0), order).double(),
         "disc": light.disc((0.3, 0.8, 0.5), 0.4, 1.0, order).double(),
     }
 
