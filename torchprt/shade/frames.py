@@ -51,10 +51,9 @@ class DeformedFrames(nn.Module):
     faces: Tensor
     basis: Tensor
     neighbours: Tensor
-    own: Tensor
+    own: Tensor | None
     slopes: Tensor
     around: Tensor
-    sides: Tensor
     still: Tensor
 
     def __init__(
@@ -92,17 +91,20 @@ class DeformedFrames(nn.Module):
         kept = (owner != neighbour) & (slope != 0).any(0)
         owner, neighbour, slope = owner[kept], neighbour[kept], slope[:, kept]
         wide = torch.promote_types(rest.dtype, torch.float32)
-        beside, self.sum_neighbours = rows_of(owner, count)
-        around, self.sum_around = rows_of(vertex, count)
+        beside, own, self.sum_neighbours = rows_of(owner, count)
+        around, _, self.sum_around = rows_of(vertex, count)
+        # Normals of faces, then their opposites if any counts as one, then zero.
+        self.opposes = bool((sides < 0).any())
+        face = torch.where(sides < 0, face + len(corners), face)
+        nothing = len(corners) * (2 if self.opposes else 1)
         for name, value in (
             ("still", still),
-            ("faces", corners.T.reshape(-1)),
+            ("faces", corners.T.reshape(-1).int()),
             ("basis", basis.to(wide)),
-            ("neighbours", _filled(neighbour, beside)),
-            ("own", _filled(owner, beside)),
-            ("slopes", _filled(slope, beside).to(wide)),
-            ("around", _filled(face, around)),
-            ("sides", _filled(sides, around).to(wide)),
+            ("neighbours", _filled(neighbour, beside, 0).reshape(-1).int()),
+            ("own", own.int() if len(own) > count else None),
+            ("slopes", _filled(slope, beside, 0).to(wide)),
+            ("around", _filled(face, around, nothing).reshape(-1).int()),
         ):
             self.register_buffer(name, value, persistent=False)
         self.vertices = count
@@ -126,9 +128,14 @@ class DeformedFrames(nn.Module):
         points = posed.movedim(-1, 0)
         first, second, third = points.index_select(-1, self.faces).unflatten(-1, (3, -1)).unbind(-2)
         facing = _cross((second - first) / self.scale, (third - first) / self.scale)
-        normals = self.sum_around(facing.index_select(-1, self.around) * self.sides.to(posed.dtype))
-        deformed, has_normal = _unit(normals)
-        apart = (points.index_select(-1, self.neighbours) - points.index_select(-1, self.own)) / self.scale
+        zero = torch.zeros_like(facing[..., :1])
+        facing = torch.cat([facing, -facing, zero] if self.opposes else [facing, zero], -1)
+        width = self.sum_around.width
+        deformed, has_normal = _unit(self.sum_around(facing.index_select(-1, self.around).unflatten(-1, (-1, width))))
+        own = points if self.own is None else points.index_select(-1, self.own)
+        width = self.sum_neighbours.width
+        near = points.index_select(-1, self.neighbours).unflatten(-1, (-1, width))
+        apart = (near - own.unsqueeze(-1)) / self.scale
         along, across = (self.sum_neighbours(apart * slope) for slope in self.slopes.to(posed.dtype).unbind(0))
         turned, has_direction = _unit(_within(along + _cross(across, deformed), deformed))
         kept, other = _within(tangent, deformed), _within(bitangent, deformed)
@@ -137,7 +144,9 @@ class DeformedFrames(nn.Module):
         turned = torch.where(has_direction, turned, kept)
         image = torch.stack([turned, _cross(deformed, turned), deformed], 1)
         frames = torch.stack([(row.unsqueeze(1) * basis).sum(0) for row in image.unbind(0)])
-        return torch.where(has_normal & ~self.still, frames, identity).movedim((0, 1), (-2, -1))
+        # One after another: some runtimes lack And and Not.
+        moved = torch.where(has_normal, frames, identity)
+        return torch.where(self.still, identity, moved).movedim((0, 1), (-2, -1))
 
 
 def nearest_rotation(matrix: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 3 3"]:
@@ -238,10 +247,9 @@ def _orthonormal(normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return tangent, torch.linalg.cross(normal, tangent, dim=-1), normal
 
 
-def _filled(values: Tensor, rows: Tensor) -> Tensor:
-    """`values [..., E]` in the slots `rows [R, W]`, one after another, zero where a slot is E."""
-    padded = torch.cat([values, values.new_zeros(*values.shape[:-1], 1)], -1)
-    return padded[..., rows.reshape(-1)].contiguous()
+def _filled(values: Tensor, rows: Tensor, empty: int) -> Tensor:
+    """`values [..., E]` in the slots `rows [R, W]`, `empty` where a slot is E."""
+    return torch.cat([values, values.new_full((*values.shape[:-1], 1), empty)], -1)[..., rows].contiguous()
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:

@@ -7,11 +7,11 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 # As wide as the vertex with the most entries, but no wider than this: most have six, and one fan may have thousands.
-WIDEST = 12
+WIDEST = 8
 
 
 class SumRows(nn.Module):
-    """Sums `[..., R * W]`, row by row, and then the rows of each of V vertices, to `[..., V]`."""
+    """Sums `[..., R, W]`, row by row, and then the rows of each of V vertices, to `[..., V]`."""
 
     def __init__(self, width: int, more: list[Tensor]) -> None:
         """`more`: for each further level the rows `[R, W]` that are summed, where the last one is a zero."""
@@ -21,28 +21,30 @@ class SumRows(nn.Module):
         for level, rows in enumerate(more):
             self.register_buffer(f"rows{level}", rows, persistent=False)
 
-    def forward(self, values: Float[Tensor, "*B E"]) -> Float[Tensor, "*B V"]:
-        sums = values.unflatten(-1, (-1, self.width)).sum(-1)
+    def forward(self, values: Float[Tensor, "*B R W"]) -> Float[Tensor, "*B V"]:
+        sums = values.sum(-1)
         for level in range(self.levels):
             rows = getattr(self, f"rows{level}")
-            padded = torch.nn.functional.pad(sums, (0, 1))
+            padded = torch.cat([sums, torch.zeros_like(sums[..., :1])], -1)
             sums = padded.index_select(-1, rows.reshape(-1)).unflatten(-1, rows.shape).sum(-1)
         return sums
 
 
-def rows_of(owner: Int[Tensor, " E"], count: int) -> tuple[Int[Tensor, "R W"], SumRows]:
-    """Slots for E entries of `count` vertices, `owner` ascending, and the module that sums what stands in them.
+def rows_of(owner: Int[Tensor, " E"], count: int) -> tuple[Int[Tensor, "R W"], Int[Tensor, " R"], SumRows]:
+    """Slots for E entries of `count` vertices, `owner` ascending; whose the rows are; and the module that sums them.
 
     Slots hold the number of an entry, or E where they stay empty; a vertex has one row or more.
     """
     widest = int(torch.bincount(owner, minlength=1).max())
     width = min(max(widest, 1), WIDEST)
-    slots, belongs = _level(owner, count, width)
-    more = []
+    slots, own = _level(owner, count, width)
+    belongs, more = own, []
     while len(belongs) > count:
-        rows, belongs = _level(belongs, count, width)
-        more.append(rows)
-    return slots, SumRows(width, more)
+        # Few vertices have more than one row, so rows of rows are narrow.
+        widest = int(torch.bincount(belongs).max())
+        rows, belongs = _level(belongs, count, min(widest, WIDEST))
+        more.append(rows.int())
+    return slots, own, SumRows(width, more)
 
 
 def _level(owner: Tensor, count: int, width: int) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,8 @@ from torchprt.sh.basis import only_values_are_wanted
 
 # Rows and columns of the table of a light.
 TABLE = (32, 64)
+# Receivers whose basis functions are held at a time: larger buffers are fresh pages of the system at every call.
+BLOCK = 16384
 
 
 def turned_axes(axis: Float[Tensor, "L 3 V"], frames: Float[Tensor, "*P V 3 3"] | None) -> Float[Tensor, "3 L ..."]:
@@ -73,15 +75,19 @@ def _in_place(
     # In memory one matrix `[N, V]` a pose, as products with lights read it.
     memory = axes.new_zeros if not axes.shape[1] else axes.new_empty
     vectors = memory(len(coefficients), *poses[:-1], order * order, poses[-1]).movedim(-2, 1)
-    for lobe, axis in enumerate(axes.unbind(1)):
-        values = basis(axis.contiguous().movedim(0, -1), order).movedim(-1, 0)
-        for l in range(first, order):
-            rows = slice(l * l, (l + 1) ** 2)
-            for channel, weights in zip(vectors, coefficients[:, lobe, l - first], strict=True):
-                if lobe:
-                    channel[rows].addcmul_(values[rows], weights)
-                else:
-                    torch.mul(values[rows], weights, out=channel[rows])
+    for start in range(0, poses[-1], BLOCK):
+        some = slice(start, start + BLOCK)
+        for lobe, axis in enumerate(axes[..., some].unbind(1)):
+            values = basis(axis.contiguous().movedim(0, -1), order).movedim(-1, 0)
+            for l in range(first, order):
+                rows = slice(l * l, (l + 1) ** 2)
+                for channel, weights in zip(
+                    vectors[..., some], coefficients[:, lobe, l - first, ..., some], strict=True
+                ):
+                    if lobe:
+                        channel[rows].addcmul_(values[rows], weights)
+                    else:
+                        torch.mul(values[rows], weights, out=channel[rows])
     if first:
         vectors[:, :4] = low
     return vectors
