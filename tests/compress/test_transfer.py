@@ -6,10 +6,11 @@ import pytest
 import torch
 from transfers import KINDS, random_glossy
 
-from torchprt.compress import compress, decompress, overdraw
+from torchprt.compress import compress, decompress, overdraw, reorder
 from torchprt.compress.search import stored_bytes
 from torchprt.compress.transfer import receiver_faces
 from torchprt.errors import InputError
+from torchprt.shade import shader
 from torchprt.transfer import ClusteredTransfer, load, save
 
 EPS = torch.finfo(torch.float32).eps
@@ -225,3 +226,25 @@ def test_a_label_without_its_cluster_is_named(diffuse):
         dataclasses.replace(packed, low=packed.low.new_zeros(len(packed.basis)))
     with pytest.raises(InputError, match="shared axes"):
         dataclasses.replace(packed, mean=packed.mean[:, 1:], basis=packed.basis[:, 1:])
+
+
+@pytest.mark.parametrize("kind", ["diffuse", "glossy"])
+def test_reordered_transfer_shades_the_same_and_leads_back(make_transfer, kind):
+    mesh = make_transfer(side=9, order=4)
+    whole = mesh
+    if kind == "glossy":
+        whole = dataclasses.replace(random_glossy("glossy", vertices=81, glossy=70), faces=mesh.faces)
+    packed = compress(whole, clusters=7, components=3, method="adaptive", bits=8)
+    moved = reorder(packed, most=2)
+    moved.check()
+    light = torch.randn(16, 3, generator=torch.Generator().manual_seed(5))
+    eye = {} if kind == "diffuse" else {"eye": torch.tensor([0.3, 2.0, 1.0])}
+    wanted = shader(packed)(light, **eye)
+    torch.testing.assert_close(moved.mesh_order(shader(moved)(light, **eye)), wanted, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(moved.positions, packed.positions[moved.original])
+    # The same triangles, with their corners in the same sense.
+    one, other = (set(map(tuple, faces.tolist())) for faces in (moved.original[moved.faces.long()], packed.faces))
+    assert one == other
+    assert bool((moved.label.long().diff() != 0).sum() < 7)
+    with pytest.raises(InputError, match="already"):
+        reorder(moved)

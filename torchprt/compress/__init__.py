@@ -11,6 +11,7 @@ from .expected_light import light_importance as light_importance
 from .expected_light import natural_light_importance as natural_light_importance
 from .quantise import QuantisedPca as QuantisedPca
 from .quantise import quantise as quantise
+from .reorder import reorder as reorder
 from .superclusters import cluster_order as cluster_order
 from .superclusters import superclusters as superclusters
 from .transfer import decompress as decompress
@@ -28,6 +29,7 @@ __all__ = [
     "natural_light_importance",
     "overdraw",
     "quantise",
+    "reorder",
     "superclusters",
     "vector_quantise",
 ]

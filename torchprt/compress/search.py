@@ -15,13 +15,15 @@ from torchprt.compress.shared_axes import moments
 from torchprt.compress.signal import DIMENSIONS, check, normalised
 from torchprt.compress.subspaces import classify, fill_empty, fit, one_thread
 
-# Points that stand for all of them; clusters are as many fewer, so that a cluster has as many points.
-_SAMPLE = 1 << 13
-_MOST_CLUSTERS = 1 << 12
-_MOST_COMPONENTS = 48
-_SHARED = (24, 32, 48, 64, 96, 128, 160, 192, 256, 320, 384)
-# Passes with so many components, after vector quantisation of so many passes.
-_PASSES, _START = (2, 4, 8), 6
+# Points that stand for all of them; of more, clusters are as many fewer, so that a cluster has as many points.
+_SAMPLE = 1 << 15
+_MOST_CLUSTERS = 1 << 11
+_MOST_COMPONENTS = 40
+_SHARED = (32, 64, 96, 128, 192, 256, 320, 384, 448, 512)
+# Passes of vector quantisation, and those that follow it with so many components.
+_START, _PASSES = 4, (2, 6)
+# Squared rounding of half-precision representatives, of their square.
+_HALF = 2.0**-24 / 3
 
 
 @dataclass(frozen=True)
@@ -60,31 +62,19 @@ def candidates(signal: Tensor, *, method: str, bits: int, seed: int, importance:
         metric = sample if root is None else weighed(sample, root)
         spectrum = torch.linalg.eigvalsh(moments(metric)).flip(0).clamp(min=0)
         power = float(spectrum.sum()) or 1.0
-        lost = 1 - spectrum.cumsum(0) / power
-        data = normalised(metric)
-        # Squares of `data` are those of `metric` less what its axes leave out, in a unit of its own.
-        inside = float((metric - metric.mean(0)).double().square().sum())
-        unit = inside / (float(data.double().square().sum()) or 1.0)
-        rest = max(0.0, 1.0 - float(_kept(metric, data.shape[1]))) * inside if data.shape[1] < numbers else 0.0
+        left = (1 - spectrum.cumsum(0) / power).clamp(min=0).tolist()
         shares = [0, *(count for count in _SHARED if count < numbers)] if numbers > DIMENSIONS else [0]
+        data = normalised(metric)
         for clusters in _clusters(points, method):
-            curve = _curve(data, max(1, round(clusters * len(sample) / points)), method, seed, threads)
-            for components in range(min(len(curve) - 1, numbers, 0 if method == "vq" else numbers) + 1):
-                squared = (float(curve[components]) * unit + rest * bool(components < numbers)) / power
+            curve = _curve(data, metric, max(1, round(clusters * len(sample) / points)), method, bits, seed, threads)
+            most = 0 if method == "vq" else min(len(curve) - 1, numbers)
+            for components, squared in enumerate((curve[: most + 1] / power).tolist()):
                 for shared in shares:
-                    total = squared
-                    if shared:
-                        # Of what clusters leave over, a part is what the axes leave out.
-                        total = (squared**1.5 + max(0.0, float(lost[shared - 1])) ** 1.5) ** (2 / 3)
+                    # Of what clusters leave over, a part is what the axes leave out.
+                    total = (squared**1.5 + left[shared - 1] ** 1.5) ** (2 / 3) if shared else squared
                     size = stored_bytes(points, numbers, clusters, components, shared, bits)
-                    found.append(Sizes(clusters, components, shared, size, math.sqrt(max(total, 0.0))))
+                    found.append(Sizes(clusters, components, shared, size, math.sqrt(total)))
     return found
-
-
-def _kept(metric: Tensor, count: int) -> float:
-    centred = metric.double() - metric.double().mean(0)
-    values = torch.linalg.eigvalsh(moments(centred)).flip(0).clamp(min=0)
-    return float(values[:count].sum() / (values.sum() or 1.0))
 
 
 def _clusters(points: int, method: str) -> Iterator[int]:
@@ -94,19 +84,25 @@ def _clusters(points: int, method: str) -> Iterator[int]:
         clusters *= 2
 
 
-def _curve(data: Tensor, clusters: int, method: str, seed: int, threads: int) -> Tensor:
-    """Squared error with 0, 1, 2, ... components, `[R + 1]`."""
-    rows = min(data.shape[1], _MOST_COMPONENTS)
+def _curve(data: Tensor, metric: Tensor, clusters: int, method: str, bits: int, seed: int, threads: int) -> Tensor:
+    """Squared error of `metric` with 0, 1, 2, ... components, `[R + 1]`; clusters are sought in `data`."""
+    rows = min(metric.shape[1], _MOST_COMPONENTS)
     label = quantise(data, clusters, seed, _START, threads)
     if clusters > 1 and method in ("iterative", "adaptive"):
         for components in _PASSES:
-            spaces = fit(data, label, clusters, min(components, rows))
+            spaces = fit(data, label, clusters, min(components, data.shape[1]))
             label, error = classify(data, spaces, threads)
             label = fill_empty(label, error, clusters)
-    spaces = fit(data, label, clusters, rows)
-    energy = spaces.energy.sum(0)
-    left = spaces.spread.sum() - torch.cat([energy.new_zeros(1), energy.cumsum(0)])
-    return left.clamp(min=0)
+    spaces = fit(metric, label, clusters, rows)
+    removed = torch.cat([spaces.energy.new_zeros(clusters, 1), spaces.energy.cumsum(1)], 1)
+    squared = (spaces.spread[:, None] - removed).clamp(min=0)
+    if bits < 32:
+        squared = squared + _HALF * (spaces.spread + spaces.sizes * spaces.mean.square().sum(1))[:, None]
+    if bits == 8:
+        # m normal weights of deviation 1 lie within 2 sqrt(2 ln m); in 255 steps the rounding is a step / sqrt(12).
+        reach = 8 * spaces.sizes.clamp(min=2).double().log()
+        squared = squared + removed * (reach / (12 * 255**2))[:, None]
+    return squared.sum(0)
 
 
 def corrected(sizes: list[Sizes], tried: Sizes, error: float) -> list[Sizes]:

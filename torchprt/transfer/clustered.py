@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
@@ -29,6 +29,7 @@ def _cluster_layouts(points: str, *signal: str) -> dict[str, Layout]:
         "low": Layout(("E|0",)),
         "step": Layout(("E|0",)),
         "squared_error": Layout((points,)),
+        "original": Layout(("V|0",), _WHOLE),
     }
 
 
@@ -47,6 +48,7 @@ class Clusters:
     - `low [E]`, `step [E]`: if weights are bytes, those of vector e are `low[e] + step[e] * byte`; else empty.
     - `squared_error`: what compression cost each receiver, summed over its numbers; `compression_error`: RMS over
       all, relative to the transfer; `method`: how clusters were found.
+    - `original [V or 0]`: which vertex of the mesh every one was, if `compress.reorder` put them in another order.
     Source: Sloan, Hall, Hart and Snyder 2003, section 4.
     """
 
@@ -59,6 +61,7 @@ class Clusters:
     low: Tensor
     step: Tensor
     squared_error: Tensor
+    original: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
     method: str = "iterative"
     compression_error: float | None = None
 
@@ -109,6 +112,10 @@ class Clusters:
                 f"{str(self.weights.dtype).removeprefix('torch.')} take {ranges}"
             )
 
+    def mesh_order(self, values: Tensor) -> Tensor:
+        """`values [..., V, 3]` of the vertices in the order that they have in the mesh."""
+        return values[..., self.original.argsort(), :] if len(self.original) else values
+
     def _check_labels(self) -> None:
         label, offsets, counts = self.label.long(), self.offsets.long(), self.counts
         if len(label) and (label.min() < 0 or label.max() >= len(self.mean)):
@@ -116,6 +123,9 @@ class Clusters:
         whole = int(offsets[0]) == 0 and int(offsets[-1]) == len(self.basis)
         if not whole or (len(counts) and counts.min() < 0):
             raise InputError("offsets of the transfer do not count its PCA vectors: compress it again")
+        order = self.original
+        if len(order) and not torch.equal(order.sort().values.long(), torch.arange(len(order), device=order.device)):
+            raise InputError("original of the transfer does not name every vertex once: compress it again")
         if int(counts[label].sum()) != len(self.weights):
             raise InputError(
                 f"weights of the transfer are {len(self.weights)}, but its receivers have {int(counts[label].sum())}: "
