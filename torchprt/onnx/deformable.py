@@ -28,7 +28,7 @@ class DeformableGraph(nn.Module):
         self, shader: DeformableShader, transfer: ZonalTransfer, source: Source, size: int, pose: Pose
     ) -> None:
         super().__init__()
-        self.light = make_graph(without_vertices(transfer), source, size)
+        self.source = make_graph(without_vertices(transfer), source, size)
         self.pose = PoseGraph(shader.estimate if pose == "positions" else None)
         channels, lobes, bands, vertices = shader.coefficients.shape
         apart = shader.exact.shape[1]
@@ -40,7 +40,7 @@ class DeformableGraph(nn.Module):
         self.vertices = vertices
 
     def forward(self, light: Tensor, rotation: Tensor, pose: Tensor) -> Tensor:
-        light = self.light.receive(light, rotation)
+        light = self.source.receive(light, rotation)
         radiance = self.lobes(light, self.pose(pose))
         return (radiance if self.albedo is None else radiance * self.albedo).mT
 
@@ -68,6 +68,8 @@ class LobeGraph(nn.Module):
 
     rows: Tensor
     scale: Tensor
+    constant: Tensor
+    linear: Tensor
 
     def __init__(self, axis: Tensor, coefficients: Tensor, exact: Tensor) -> None:
         """`axis [L, 3, V]`, `coefficients [C, L, Z, V]`, `exact [C, J, V]`."""
@@ -83,10 +85,8 @@ class LobeGraph(nn.Module):
         if self.first:
             self.register_buffer("constant", exact[:, :1].float().contiguous())
             # y_1m are -y, z, -x: the signs go to the light.
-            self.register_buffer("linear", exact[:, [3, 1, 2]].float().contiguous())
+            self.register_buffer("linear", exact[:, [3, 1, 2]].float() * torch.tensor([[-1.0], [-1.0], [1.0]]))
         rows, scale = ([0, 3, 1, 2], [1.0, -1.0, -1.0, 1.0]) if self.first else ([], [])
-        if self.first:
-            self.linear *= torch.tensor([-1.0, -1.0, 1.0]).unsqueeze(-1)
         for m in range(self.order if self.lobes else 0):
             for side in (m,) if m == 0 else (m, -m):
                 for l in range(max(m, self.first), self.order):

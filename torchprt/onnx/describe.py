@@ -13,9 +13,9 @@ from google.protobuf.message import DecodeError
 
 from torchprt.errors import InputError
 from torchprt.onnx.operators import count_operators
-from torchprt.transfer import BakedTransfer, ClusteredIncidentTransfer, CompressedTransfer, IncidentTransfer
+from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
-from torchprt.transfer.kinds import DIFFUSE
+from torchprt.transfer.kinds import DIFFUSE, INCIDENT
 from torchprt.version import VERSION
 
 FORMAT = 1
@@ -30,6 +30,10 @@ INPUTS = {
     ),
     "eye": "Points [B, 3] from which the surfaces are seen, in the frame and unit of the scene.",
     "view": "Directions [B, 3] from the surfaces toward a distant eye, of any length above zero.",
+    "frames": (
+        "Proper rotation matrices [vertices, 3, 3] of the surface from its rest pose, one a vertex; one pose for all B."
+    ),
+    "positions": "Points [vertices, 3] where the vertices of the mesh have gone; one pose for all B.",
     "rotation": "Proper rotation matrices [B, 3, 3] that turn the environment; the identity leaves it as it is.",
     "radiance": "Linear RGB exit radiance [B, vertices, 3], albedo applied, before exposure, tone map and sRGB.",
 }
@@ -40,7 +44,7 @@ KEYS = (
 )  # fmt: skip
 
 
-def metadata(transfer: BakedTransfer | CompressedTransfer, about: dict[str, Any]) -> dict[str, str]:
+def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
     `about`: what the arguments of the export add. Glossy transfer adds the metadata of its kind, `glossy` (how many
@@ -70,7 +74,9 @@ def metadata(transfer: BakedTransfer | CompressedTransfer, about: dict[str, Any]
             "glossy": len(transfer.glossy),
             "specular": "applied, one for all" if transfer.specular.shape[0] == 1 else "applied, one a receiver",
         }
-    if isinstance(transfer, IncidentTransfer | ClusteredIncidentTransfer):
+    elif "pose" in about:
+        entries["pose"] = about["pose"]
+    if isinstance(transfer, INCIDENT):
         entries["output_order"] = transfer.output_order
     return {key: json.dumps(value) for key, value in entries.items()}
 

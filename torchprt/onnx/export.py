@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
+from torchprt.onnx.deformable import Pose
 from torchprt.onnx.describe import INPUTS, metadata, shape
 from torchprt.onnx.eye import Eye
 from torchprt.onnx.graph import Source
@@ -55,6 +56,7 @@ def export(
     fix_eye: Sequence[float] | Tensor | None = None,
     fix_light: Tensor | None = None,
     exponent: float | int | Tensor | None = None,
+    pose: Pose | None = None,
     check: bool = True,
 ) -> ExportReport:
     """Writes the shader of `transfer` to one `.onnx` file that any ONNX runtime, also one in a browser, can run.
@@ -71,6 +73,10 @@ def export(
     `exponent`: the Phong lobe for transfer of kind "incident", which needs one, as for `shader`; for another
     reflectance export what `shade.with_material` makes of it.
 
+    For transfer in zonal lobes the third input is a pose, without a batch: all B lights shine on it. `pose` "frames"
+    (if omitted) takes `frames [V, 3, 3]`, the rotation of every vertex from the rest pose; "positions" takes
+    `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `shade.DeformedFrames`.
+
     With `check` the file is run in ONNX Runtime and compared with torch (see `compare`) before it takes its name;
     ParityError if they differ, and then no file is left.
 
@@ -80,7 +86,16 @@ def export(
     path = Path(path)
     if path.suffix != ".onnx":
         raise InputError(f"{path} must end in .onnx")
-    planned = plan(transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent)
+    planned = plan(
+        transfer,
+        source=source,
+        size=size,
+        eye=eye,
+        fix_eye=fix_eye,
+        fix_light=fix_light,
+        exponent=exponent,
+        pose=pose,
+    )
     transfer.check()
     with atomic(path) as temporary:
         model = _trace(planned)
@@ -101,7 +116,9 @@ def export(
 
 def _trace(planned: Plan) -> onnx.ModelProto:
     # An example batch of one would be baked in silently.
-    examples = {name: torch.zeros(2, *shape) for name, shape in planned.inputs.items()}
+    examples = {
+        name: torch.zeros(*([] if name in planned.single else [2]), *shape) for name, shape in planned.inputs.items()
+    }
     if "rotation" in examples:
         examples["rotation"] += torch.eye(3)
     batch = torch.export.Dim("B")
@@ -114,7 +131,7 @@ def _trace(planned: Plan) -> onnx.ModelProto:
             opset_version=OPSET,
             input_names=list(examples),
             output_names=["radiance"],
-            dynamic_shapes=({0: batch},) * len(examples),
+            dynamic_shapes=tuple(None if name in planned.single else {0: batch} for name in examples),
         )
     assert program is not None
     # The exporter names values after operators of torch, of which `view` is one.
@@ -155,6 +172,7 @@ def _quiet() -> Iterator[None]:
 def _check_shapes(
     planned: Plan, inputs: dict[str, tuple[int | str, ...]], outputs: dict[str, tuple[int | str, ...]]
 ) -> None:
-    wanted = {name: ("B", *shape) for name, shape in planned.inputs.items()}, {"radiance": ("B", planned.vertices, 3)}
+    taken = {name: shape if name in planned.single else ("B", *shape) for name, shape in planned.inputs.items()}
+    wanted = taken, {"radiance": ("B", planned.vertices, 3)}
     if (inputs, outputs) != wanted:
         raise RuntimeError(f"the exported graph has inputs {inputs} and outputs {outputs}: {wanted} were asked for")

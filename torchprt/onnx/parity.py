@@ -16,11 +16,21 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.onnx.eyes import conditions, random_eyes
+from torchprt.onnx.poses import random_poses
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
-from torchprt.shade import DiffuseShader, EnvironmentShader, FactoredShader, FixedLightShader, ViewShader
+from torchprt.shade import (
+    DeformableFactoredShader,
+    DeformableShader,
+    DiffuseShader,
+    EnvironmentShader,
+    FactoredShader,
+    FixedLightShader,
+    ViewShader,
+)
 
-Module: TypeAlias = DiffuseShader | ViewShader | EnvironmentShader | FixedLightShader
+Module: TypeAlias = DiffuseShader | ViewShader | DeformableShader | EnvironmentShader | FixedLightShader
+Inside: TypeAlias = Module | DeformableFactoredShader
 
 SCALES = (1.0, 1e-6, 1e6)
 HALF_TURNS = ((0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0), (0.0, 0.0, 180.0))
@@ -92,6 +102,8 @@ def compare(
     each light has its own: near, far (10 000 times the size of the model), in the middle of the model, at a vertex and
     behind one; or directions of many lengths, along a normal and against it.
 
+    Where the file takes a pose, all lights run in three (`random_poses`).
+
     Positions count as float32, as the file holds them. A receiver whose tangent plane the eye is below is seen at the
     horizon, in a direction that rounding turns by 1 / sin a of its size, a the angle from straight below: its
     difference counts sin a.
@@ -108,22 +120,27 @@ def compare(
         shader.points = shader.points.float().double()
     feeds = _cases(names, reference, shader, seed)
     count = len(next(iter(feeds.values())))
-    with torch.no_grad():
-        # One at a time: every light is as large as the scene in float64.
-        wanted = [_shade(reference, {name: value[index] for name, value in feeds.items()}) for index in range(count)]
-        weights = [_weights(shader, {name: value[index] for name, value in feeds.items()}) for index in range(count)]
+    poses = random_poses(shader, names[-1], seed) if isinstance(shader, DeformableShader) else [{}]
     rms = largest = 0.0
-    for batch in batches:
-        for start in range(0, count, batch):
-            # The last batch wraps around, so that every one has the stated size.
-            chosen = [index % count for index in range(start, start + batch)]
-            feed = {name: value[chosen].numpy() for name, value in feeds.items()}
-            found = torch.from_numpy(session.run(["radiance"], feed)[0])
-            for radiance, index in zip(found, chosen, strict=True):
-                difference = (radiance.double() - wanted[index]) * weights[index]
-                rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
-                largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
-    return ParityReport(rms, largest, tolerance(_order(module), module), count * len(batches), tuple(batches))
+    for pose in poses:
+        with torch.no_grad():
+            # One at a time: every light is as large as the scene in float64.
+            cases = [{name: value[index] for name, value in feeds.items()} for index in range(count)]
+            wanted = [_shade(reference, case | pose) for case in cases]
+            weights = [_weights(shader, case) for case in cases]
+        still = {name: value.numpy() for name, value in pose.items()}
+        for batch in batches:
+            for start in range(0, count, batch):
+                # The last batch wraps around, so that every one has the stated size.
+                chosen = [index % count for index in range(start, start + batch)]
+                feed = {name: value[chosen].numpy() for name, value in feeds.items()}
+                found = torch.from_numpy(session.run(["radiance"], feed | still)[0])
+                for radiance, index in zip(found, chosen, strict=True):
+                    difference = (radiance.double() - wanted[index]) * weights[index]
+                    rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
+                    largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
+    total = count * len(batches) * len(poses)
+    return ParityReport(rms, largest, tolerance(_order(module), module), total, tuple(batches))
 
 
 def open_session(path: Path) -> onnxruntime.InferenceSession:
@@ -138,20 +155,22 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
     lights = [] if isinstance(module, FixedLightShader) else ["light", "rotation"]
     if isinstance(module, EnvironmentShader):
         lights[0] = "environment"
-    known = [[*lights, "eye"], [*lights, "view"]] if isinstance(_shader(module), ViewShader) else [lights]
+    last = {ViewShader: ("eye", "view"), DeformableShader: ("frames", "positions")}
+    known = [[*lights, name] for kind, pair in last.items() if isinstance(_shader(module), kind) for name in pair]
+    known = known or [lights]
     if names not in known:
         taken = " or ".join(", ".join(inputs) for inputs in known)
         raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
 
 
-def _shader(module: Module | None) -> Module | None:
+def _shader(module: Module | None) -> Inside | None:
     """The shader of transfer inside."""
     return module.shader if isinstance(module, EnvironmentShader | FixedLightShader) else module
 
 
 def _order(module: Module) -> int:
     shader = _shader(module)
-    assert isinstance(shader, DiffuseShader | ViewShader)
+    assert isinstance(shader, DiffuseShader | ViewShader | DeformableShader)
     return shader.order
 
 
@@ -162,7 +181,7 @@ def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:
     return module(*lights, **wide)
 
 
-def _weights(shader: Module | None, case: dict[str, Tensor]) -> Tensor:
+def _weights(shader: Inside | None, case: dict[str, Tensor]) -> Tensor:
     """What the difference of each receiver counts, `[V, 1]` or one for all."""
     if not isinstance(shader, ViewShader):
         return torch.ones(1, 1, dtype=torch.float64)
@@ -171,7 +190,7 @@ def _weights(shader: Module | None, case: dict[str, Tensor]) -> Tensor:
     return weights.index_copy(0, shader.glossy, conditions(shader, eye, view)).unsqueeze(-1)
 
 
-def _cases(names: list[str], module: Module, shader: Module | None, seed: int) -> dict[str, Tensor]:
+def _cases(names: list[str], module: Module, shader: Inside | None, seed: int) -> dict[str, Tensor]:
     """Every scale under every rotation: 24 of each input that is named, in float32."""
     generator = torch.Generator().manual_seed(seed)
     degrees = torch.cat([torch.tensor(HALF_TURNS), 360 * torch.rand(4, 3, generator=generator)])

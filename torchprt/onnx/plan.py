@@ -11,21 +11,31 @@ from torch import Tensor, nn
 
 from torchprt.errors import InputError
 from torchprt.onnx.clustered import BLOCK, ClusteredGraph
+from torchprt.onnx.deformable import DeformableGraph, Pose
 from torchprt.onnx.eye import Eye
 from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph
 from torchprt.onnx.graph import Source, make_graph
 from torchprt.onnx.parity import Module
-from torchprt.shade import DiffuseShader, EnvironmentShader, FixedEyeShader, FixedLightShader, ViewShader, shader
+from torchprt.shade import (
+    DeformableShader,
+    DiffuseShader,
+    EnvironmentShader,
+    FixedEyeShader,
+    FixedLightShader,
+    ViewShader,
+    shader,
+)
 from torchprt.shade.view import ViewTransfer
 from torchprt.transfer import (
-    BakedTransfer,
     ClusteredIncidentTransfer,
     ClusteredTransfer,
     ClusteredVisibilityTransfer,
-    CompressedTransfer,
     DiffuseTransfer,
     IncidentTransfer,
+    Transfer,
     VisibilityTransfer,
+    ZonalFactoredTransfer,
+    ZonalTransfer,
 )
 from torchprt.transfer.clustered import ClusteredLayers, Clusters
 
@@ -33,13 +43,16 @@ Exponent: TypeAlias = float | int | Tensor | None
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
 LIMIT = 2**31 - 2**20
+# Numbers of 4 bytes a vertex from which frames are estimated: eight neighbours and faces, mostly, and its own frame.
+ESTIMATE = 48
 
 
 @dataclass(frozen=True)
 class Plan:
     """`inputs`: the shape of one entry of the batch by name; `about`: what the metadata say of the arguments.
 
-    `graph` and `reference` make the float32 module that is traced and the shader in float64.
+    `graph` and `reference` make the float32 module that is traced and the shader in float64. `single`: the inputs that
+    have no batch.
     """
 
     inputs: dict[str, tuple[int, ...]]
@@ -47,10 +60,11 @@ class Plan:
     about: dict[str, Any]
     graph: Callable[[], nn.Module]
     reference: Callable[[], Module]
+    single: tuple[str, ...] = ()
 
 
 def plan(
-    transfer: BakedTransfer | CompressedTransfer,
+    transfer: Transfer,
     *,
     source: Source,
     size: int,
@@ -58,6 +72,7 @@ def plan(
     fix_eye: Sequence[float] | Tensor | None,
     fix_light: Tensor | None,
     exponent: Exponent,
+    pose: Pose | None = None,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
     if source not in ("light", "environment"):
@@ -72,7 +87,11 @@ def plan(
     inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
     about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
-    if isinstance(transfer, DiffuseTransfer | ClusteredTransfer):
+    if isinstance(transfer, ZonalFactoredTransfer):
+        raise InputError("glossy transfer in lobes cannot be exported: export the diffuse kind, or shade it in torch")
+    if pose is not None and not isinstance(transfer, ZonalTransfer):
+        raise InputError(f"pose is given, but transfer of kind '{transfer.kind}' does not deform: omit it")
+    if isinstance(transfer, DiffuseTransfer | ClusteredTransfer | ZonalTransfer):
         given = {
             "eye": None if eye == "point" else eye,
             "fix_eye": fix_eye,
@@ -82,6 +101,8 @@ def plan(
         for name, value in given.items():
             if value is not None:
                 raise InputError(f"{name} is given, but diffuse transfer has neither eye nor lobe: omit it")
+        if isinstance(transfer, ZonalTransfer):
+            return _posed(transfer, inputs, about, source, size, pose or "frames", texels)
         if isinstance(transfer, ClusteredTransfer):
             stored = _representatives(transfer) + transfer.albedo.numel()
         else:
@@ -157,13 +178,43 @@ def plan(
     )
 
 
+def _posed(
+    transfer: ZonalTransfer,
+    inputs: dict[str, tuple[int, ...]],
+    about: dict[str, Any],
+    source: Source,
+    size: int,
+    pose: Pose,
+    texels: int,
+) -> Plan:
+    """The plan of lobes that turn with the surface."""
+    if pose not in ("frames", "positions"):
+        raise InputError(f"pose '{pose}' is unknown: use 'frames' or 'positions'")
+    if pose == "positions" and not len(transfer.faces):
+        raise InputError("the transfer has no faces, from which frames are estimated: use pose='frames'")
+    if not transfer.lobes and not transfer.exact.shape[1]:
+        raise InputError("the transfer has no lobes: there is nothing to export")
+    estimate = ESTIMATE * transfer.vertices if pose == "positions" else 0
+    stored = transfer.axis.numel() + transfer.coefficients.numel() + transfer.exact.numel()
+    _check_weights(stored + _apart(transfer.albedo, transfer.channels) + estimate + texels)
+    shape = (transfer.vertices, 3, 3) if pose == "frames" else (transfer.vertices, 3)
+    return Plan(
+        inputs | {pose: shape},
+        transfer.vertices,
+        about | {"pose": pose},
+        lambda: DeformableGraph(shader(transfer, dtype=torch.float32), transfer, source, size, pose),
+        lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
+        single=(pose,),
+    )
+
+
 def _shader(transfer: ViewTransfer, dtype: torch.dtype, exponent: Exponent) -> ViewShader:
     module = shader(transfer, dtype=dtype, exponent=exponent)
     assert isinstance(module, ViewShader)
     return module
 
 
-def _from(source: Source, size: int, module: ViewShader | DiffuseShader) -> Module:
+def _from(source: Source, size: int, module: ViewShader | DiffuseShader | DeformableShader) -> Module:
     return EnvironmentShader(module, size) if source == "environment" else module
 
 

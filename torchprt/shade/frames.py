@@ -48,6 +48,7 @@ class DeformedFrames(nn.Module):
     animation and polar decomposition".
     """
 
+    rest: Tensor
     faces: Tensor
     basis: Tensor
     neighbours: Tensor
@@ -98,6 +99,7 @@ class DeformedFrames(nn.Module):
         face = torch.where(sides < 0, face + len(corners), face)
         nothing = len(corners) * (2 if self.opposes else 1)
         for name, value in (
+            ("rest", rest.detach()),
             ("still", still),
             ("faces", corners.T.reshape(-1).int()),
             ("basis", basis.to(wide)),
