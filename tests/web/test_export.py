@@ -20,7 +20,6 @@ from torchprt.errors import InputError
 from torchprt.light import dominant, studio
 from torchprt.preview.environment import Environment
 from torchprt.shade import shader
-from torchprt.transfer import IncidentTransfer
 from torchprt.web import export, samples
 
 EXPORT = importlib.import_module("torchprt.web.export")
@@ -75,7 +74,7 @@ def test_refuses_what_it_cannot_show_and_leaves_nothing(make_transfer, tmp_path,
 
 
 def test_incident_transfer_needs_its_material_first(tmp_path, untyped):
-    incident = random_glossy(IncidentTransfer, order=3, output_order=3)
+    incident = random_glossy("incident", order=3, output_order=3)
     with pytest.raises(InputError, match="with_material"):
         export(dataclasses.replace(incident, faces=torch.tensor([[0, 1, 2]])), tmp_path / "page")
     assert not list(tmp_path.iterdir())
