@@ -12,8 +12,8 @@ from torchprt.transfer import ClusteredTransfer, load
         (["--clusters", "100000"], "clusters"),
         (["--components", "10000"], "components"),
         (["--method", "best"], "--method"),
-        (["--method", "vq"], "components"),
-        (["--method", "pca"], "clusters"),
+        (["--method", "vq", "--components", "8"], "components"),
+        (["--method", "pca", "--clusters", "2"], "clusters"),
     ],
 )
 def test_refuses_what_the_transfer_cannot_give_and_writes_nothing(run, folder, tmp_path, options, word):
@@ -39,9 +39,57 @@ def test_compresses_tells_what_it_cost_and_shades_the_same(done, folder, tmp_pat
     assert 0 < difference < 0.1
 
 
-def test_an_export_of_clusters_is_refused_with_the_way_out(run, done, folder, tmp_path):
-    done("compress", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors", "--clusters", "4")
-    ended = run("export", tmp_path / "a.safetensors", "-o", tmp_path / "a.onnx")
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--error", "a lot"], "--error"),
+        (["--error", "1%", "--bytes", "4M"], "both"),
+        (["--error", "1%", "--clusters", "4"], "clusters"),
+        (["--bytes", "4 bananas"], "--bytes"),
+        (["--bytes", "10"], "one cluster"),
+        (["--bits", "12"], "bits"),
+        (["--coherence=-5%"], "--coherence"),
+        (["--importance", "nothing.npy"], "nothing.npy"),
+        (["--superclusters", "2", "--clusters", "100000"], "clusters"),
+    ],
+)
+def test_refuses_a_size_that_cannot_be_and_writes_nothing(run, folder, tmp_path, options, word):
+    output = tmp_path / "a.safetensors"
+    ended = run("compress", folder / "ball.safetensors", "-o", output, *options)
     assert ended.code == 2
-    assert "decompress" in ended.err
-    assert not (tmp_path / "a.onnx").exists()
+    assert word in ended.err
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--error", "5%", "--bits", "8"],
+        ["--bytes", "6K"],
+        ["--clusters", "6", "--shared", "9", "--bits", "16"],
+        ["--clusters", "6", "--coherence", "5%", "--superclusters", "3"],
+        ["--clusters", "6", "--importance", "natural"],
+    ],
+    ids=" ".join,
+)
+def test_whatever_the_size_it_shades_in_the_order_of_the_mesh(done, folder, tmp_path, options):
+    whole, packed = folder / "ball.safetensors", tmp_path / "a.safetensors"
+    done("compress", whole, "-o", packed, *options)
+    transfer = load(packed)
+    if "--error" in options:
+        assert transfer.compression_error <= 0.05
+    if "--bytes" in options:
+        assert transfer.bytes <= 6 * 1024
+    said = done("info", packed)
+    assert "overdraw" in said
+    assert "representatives" in said
+    for name, source in (("whole", whole), ("packed", packed)):
+        done("shade", source, "--light", folder / "lamp.exr", "-o", tmp_path / f"{name}.npy")
+    one, other = np.load(tmp_path / "whole.npy"), np.load(tmp_path / "packed.npy")
+    assert np.sqrt(((one - other) ** 2).mean() / (one**2).mean()) < 0.2
+
+
+def test_clusters_are_exported_as_they_are(done, folder, tmp_path, untyped):
+    done("compress", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors", "--clusters", "4")
+    assert "agree" in done("export", tmp_path / "a.safetensors", "-o", tmp_path / "a.onnx")
+    assert "clustered" in done("info", tmp_path / "a.onnx")

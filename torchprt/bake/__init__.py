@@ -3,9 +3,7 @@
 The room is called like its verb: `torchprt.bake(scene)` is `torchprt.bake.bake(scene)`.
 """
 
-import sys
-import types
-from typing import Any
+from torchprt.verb import call_room
 
 from .bake import bake as bake
 from .bake_glossy import OrderWarning as OrderWarning
@@ -33,12 +31,4 @@ __all__ = [
     "wrinkle",
 ]
 
-
-class _Verb(types.ModuleType):
-    """Importing a room puts it under its name in `torchprt`, over any function of that name: so it is callable."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        return bake(*arguments, **options)
-
-
-sys.modules[__name__].__class__ = _Verb
+call_room(__name__, bake)

@@ -86,9 +86,9 @@ def gloss(text: str) -> Brdf:
 
 def gloss_of(transfer: Transfer, material: str | None) -> Any:
     """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
-    from torchprt.transfer import IncidentTransfer
+    from torchprt.transfer.kinds import INCIDENT
 
-    if not isinstance(transfer, IncidentTransfer):
+    if not isinstance(transfer, INCIDENT):
         if material is not None:
             raise InputError(f"--material is given, but the reflectance of {transfer.kind} transfer is baked in")
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torchprt.transfer import Transfer
+    from torchprt.transfer import CompressedTransfer, Transfer
 
 
 def say(what: Any) -> None:
@@ -51,49 +51,70 @@ def _stored(transfer: Any) -> Tensor:
 def details(transfer: Transfer) -> list[str]:
     """Lines about the surfaces of a transfer: albedo, materials, and how well its functions of the eye hold them."""
     from torchprt.transfer import (
-        ClusteredGlossyTransfer,
-        ClusteredTransfer,
+        ClusteredFactoredTransfer,
+        ClusteredVisibilityTransfer,
         FactoredTransfer,
-        IncidentTransfer,
         VisibilityTransfer,
     )
-    from torchprt.transfer.kinds import DIFFUSE
+    from torchprt.transfer.clustered import Clusters
+    from torchprt.transfer.kinds import DIFFUSE, INCIDENT
 
     lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces, albedo {_weight(transfer.albedo)}"]
-    if isinstance(transfer, ClusteredTransfer | ClusteredGlossyTransfer):
-        lines.append(
-            f"{len(transfer.mean)} clusters ({transfer.method}), {len(transfer.basis) / len(transfer.mean):.3g} PCA "
-            f"vectors each, compression error {transfer.compression_error or 0:.2%} (relative RMS)"
-        )
+    if isinstance(transfer, Clusters):
+        lines += _clusters(transfer)
     if isinstance(transfer, DIFFUSE):
         return lines
     names = ", ".join(transfer.materials) or "none"
     lines.append(f"materials {names}, specular {_weight(transfer.specular)}")
-    if isinstance(transfer, IncidentTransfer):
+    if isinstance(transfer, INCIDENT):
         lines.append("the reflectance is chosen when it is shaded" + ", bounces excepted" * bool(transfer.bounces))
-    elif isinstance(transfer, FactoredTransfer):
+    elif isinstance(transfer, FactoredTransfer | ClusteredFactoredTransfer):
         if transfer.factor_error is not None:
             lines.append(f"{len(transfer.factors)} factors hold the material to {transfer.factor_error:.2%}")
     elif transfer.exit_error is not None:
         worst = names if len(transfer.materials) == 1 else "the worst material"
         lines.append(f"exit functions of order {transfer.output_order} hold {worst} to {transfer.exit_error:.2%}")
-    if isinstance(transfer, VisibilityTransfer) and transfer.product_error is not None:
+    if isinstance(transfer, VisibilityTransfer | ClusteredVisibilityTransfer) and transfer.product_error is not None:
         lines.append(f"visibility of order {transfer.visibility_order} costs {transfer.product_error:.2%} of radiance")
     return lines
 
 
+def _clusters(transfer: CompressedTransfer) -> list[str]:
+    """What compression cost and how often triangles are drawn."""
+    from torchprt.compress import overdraw
+    from torchprt.compress.transfer import receiver_faces
+
+    about = f"{len(transfer.mean)} clusters ({transfer.method}), {len(transfer.basis) / len(transfer.mean):.3g} PCA"
+    about += f" vectors each, compression error {transfer.compression_error or 0:.2%} (relative RMS)"
+    if len(transfer.shared):
+        about += f", in {len(transfer.shared)} shared axes"
+    per_receiver = transfer.squared_error.double()
+    worst = float(per_receiver.max() / per_receiver.mean()) ** 0.5 if float(per_receiver.sum()) else 1.0
+    parts = {
+        "labels": transfer.label,
+        "weights": transfer.weights,
+        "representatives": transfer.mean,
+    }
+    sizes = {name: part.numel() * part.element_size() for name, part in parts.items()}
+    for part in (transfer.basis, transfer.shared, transfer.low, transfer.step, transfer.offsets):
+        sizes["representatives"] += part.numel() * part.element_size()
+    told = ", ".join(f"{name} {size / 2**20:.2f} MB" for name, size in sizes.items())
+    faces = receiver_faces(transfer)
+    drawn = f", overdraw {overdraw(faces, transfer.label):.3f}" if len(faces) else ""
+    order = ", vertices in the order of clusters" if len(transfer.original) else ""
+    return [about, f"{told}, worst vertex {worst:.1f} times the RMS{drawn}{order}"]
+
+
 def _rows(transfer: Any) -> str:
     """What stands between the light and the eye at a glossy receiver."""
-    from torchprt.transfer import FactoredTransfer, IncidentTransfer, VisibilityTransfer
+    from torchprt.transfer.kinds import INCIDENT
 
-    if isinstance(transfer, FactoredTransfer):
+    if hasattr(transfer, "factors"):
         return f"{len(transfer.factors)} factors"
-    if isinstance(transfer, IncidentTransfer):
+    if isinstance(transfer, INCIDENT):
         return f"incident radiance of order {transfer.output_order}"
     shown = f"output order {transfer.output_order} ({transfer.projection})"
-    return (
-        f"visibility order {transfer.visibility_order}, {shown}" if isinstance(transfer, VisibilityTransfer) else shown
-    )
+    return f"visibility order {transfer.visibility_order}, {shown}" if hasattr(transfer, "visibility_order") else shown
 
 
 def _weight(weight: Tensor) -> str:

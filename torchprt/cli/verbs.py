@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import look, options
+from torchprt.cli import compressing, look, options
 from torchprt.cli.report import complain, describe, details, say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
@@ -191,34 +191,11 @@ def shade(
         linear = preview.linear_colours(radiance, exposure, tone)
         preview.save_glb(loaded.positions, loaded.normals, loaded.faces, output, colour=linear)
     else:
+        if isinstance(loaded, prt.transfer.clustered.Clusters):
+            radiance = loaded.mesh_order(radiance)
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
     say(f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}")
-
-
-@app.command()
-def compress(
-    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
-    output: Output,
-    clusters: Annotated[int, typer.Option(min=1, help="How many groups of vertices.")] = 256,
-    components: Annotated[int, typer.Option(min=0, help="Weights a vertex.")] = 8,
-    method: Annotated[str, typer.Option(help="iterative, adaptive, static, pca or vq.")] = "iterative",
-    seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
-) -> None:
-    """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix."""
-    import time
-
-    import torchprt as prt
-
-    check_writable(output, (".safetensors",))
-    chosen = options.choice(method, "--method", ("iterative", "adaptive", "static", "pca", "vq"))
-    loaded = prt.load_transfer(transfer)
-    start = time.perf_counter()
-    packed = prt.compress.compress(loaded, clusters=clusters, components=components, method=chosen, seed=seed)
-    prt.save_transfer(packed, output)
-    say(f"{output}: {describe(packed)}, compressed in {time.perf_counter() - start:.1f} s")
-    say(details(packed)[1])
-    say(f"{loaded.bytes / packed.bytes:.1f} times smaller")
 
 
 @app.command()
@@ -290,10 +267,10 @@ def export(
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
     chosen = options.gloss_of(loaded, material)
-    if isinstance(loaded, prt.transfer.IncidentTransfer) and chosen is not None:
+    if isinstance(loaded, prt.transfer.kinds.INCIDENT) and chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return ways_out.page(loaded, output, light, compressed, title or transfer.stem)
+        return ways_out.page(loaded, output, light, compressed, title or transfer.stem, chosen)
     if ends == ".glb":
         return ways_out.mesh(loaded, output, order)
     lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
@@ -345,6 +322,7 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
         say(f"{file}: {image.shape[1]} x {image.shape[0]} pixels\n{report}")
 
 
+app.command()(compressing.compress)
 app.command()(look.render)
 app.command()(look.preview)
 

@@ -1,4 +1,9 @@
-"""Compression of transfer: clusters of points, each in an affine subspace of its own."""
+"""Compression of transfer: clusters of points, each in an affine subspace of its own; lobes that rotate.
+
+The room is called like its verb: `torchprt.compress(transfer)` is `torchprt.compress.compress(transfer)`.
+"""
+
+from torchprt.verb import call_room
 
 from .bilinear import fit_bilinear as fit_bilinear
 from .clusters import vector_quantise as vector_quantise
@@ -33,3 +38,5 @@ __all__ = [
     "superclusters",
     "vector_quantise",
 ]
+
+call_room(__name__, compress)

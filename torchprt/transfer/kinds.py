@@ -46,3 +46,6 @@ KINDS: dict[str, type[Transfer]] = {
 
 # What looks the same from everywhere.
 DIFFUSE = (DiffuseTransfer, ClusteredTransfer, ZonalTransfer)
+
+# What leaves the reflectance to be chosen at run time.
+INCIDENT = (IncidentTransfer, ClusteredIncidentTransfer)

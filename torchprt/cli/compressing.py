@@ -1,0 +1,123 @@
+"""The verb that makes a bake small."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchprt.cli import options
+from torchprt.cli.report import describe, details, say
+from torchprt.errors import InputError
+from torchprt.files import check_writable
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torchprt.transfer import Transfer
+
+METHODS = ("iterative", "adaptive", "static", "pca", "vq")
+_UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
+
+
+def compress(
+    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    clusters: Annotated[
+        int | None, typer.Option(min=1, help="How many groups of vertices.", show_default="256")
+    ] = None,
+    components: Annotated[int | None, typer.Option(min=0, help="Weights a vertex.", show_default="8")] = None,
+    error: Annotated[
+        str | None, typer.Option(help="In place of these: the error to keep to, 0.01 or 1% (relative RMS).")
+    ] = None,
+    bytes: Annotated[str | None, typer.Option(help="In place of these: the bytes to keep to, 500K or 4M.")] = None,
+    method: Annotated[str, typer.Option(help="iterative, adaptive, static, pca or vq.")] = "iterative",
+    bits: Annotated[int, typer.Option(help="Of a weight: 32, or 16 or 8 with representatives in half precision.")] = 32,
+    shared: Annotated[
+        int | None, typer.Option(min=1, help="Axes that all clusters share: bases of two levels.", show_default="none")
+    ] = None,
+    coherence: Annotated[str, typer.Option(help="Error to add for clusters in one piece: 0.05 or 5%.")] = "0",
+    superclusters: Annotated[
+        int | None,
+        typer.Option(min=1, help="Order the mesh by clusters, so many in a supercluster.", show_default="as baked"),
+    ] = None,
+    importance: Annotated[
+        str | None,
+        typer.Option(help="What light to expect: natural, or .npy and images.", show_default="any"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
+) -> None:
+    """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix."""
+    import torchprt as prt
+
+    check_writable(output, (".safetensors",))
+    chosen = options.choice(method, "--method", METHODS)
+    target = None if error is None else fraction(error, "--error")
+    size = None if bytes is None else byte_count(bytes, "--bytes")
+    added = fraction(coherence, "--coherence")
+    loaded = prt.load_transfer(transfer)
+    start = time.perf_counter()
+    packed = prt.compress(
+        loaded,
+        clusters=clusters,
+        components=components,
+        error=target,
+        bytes=size,
+        method=chosen,
+        bits=bits,
+        shared=shared,
+        coherence=added,
+        importance=None if importance is None else expected(importance, loaded),
+        seed=seed,
+    )
+    if superclusters is not None:
+        packed = prt.compress.reorder(packed, superclusters)
+    taken = time.perf_counter() - start
+    prt.save_transfer(packed, output)
+    say(f"{output}: {describe(packed)}, compressed in {taken:.1f} s")
+    for line in details(packed)[1:3]:
+        say(line)
+    say(f"{loaded.bytes / packed.bytes:.1f} times smaller")
+
+
+def fraction(text: str, option: str) -> float:
+    """`0.05` or `5%`; InputError unless it is zero or more."""
+    part, percent = text.strip(), text.strip().endswith("%")
+    try:
+        value = float(part.removesuffix("%")) / (100 if percent else 1)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise InputError(f"{option} is '{text}': give a part as 0.05 or 5%")
+    return value
+
+
+def byte_count(text: str, option: str) -> int:
+    """`4000000`, `500K`, `4M`, `1.5G`."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMG]?)B?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise InputError(f"{option} is '{text}': give bytes as 4000000, 500K or 4M")
+    return int(float(found[1]) * _UNITS[found[2].upper()])
+
+
+def expected(text: str, transfer: Transfer) -> Tensor:
+    """The importance over the numbers of one receiver: of the spectrum of natural light, or of files of lights."""
+    import torch
+
+    from torchprt.compress import light_importance, natural_light_importance
+    from torchprt.transfer import DiffuseTransfer, FactoredTransfer, GlossyTransfer, IncidentTransfer
+
+    if isinstance(transfer, DiffuseTransfer):
+        rows = 1
+    elif isinstance(transfer, GlossyTransfer | FactoredTransfer | IncidentTransfer):
+        rows = transfer.matrix.shape[2]
+    else:
+        raise InputError(f"--importance is given, but transfer of kind '{transfer.kind}' meets no light: leave it out")
+    if text == "natural":
+        return natural_light_importance(transfer.order, channels=transfer.channels, rows=rows)
+    lights = [options.light(Path(name), transfer.order, repair=False) for name in text.split(",")]
+    return light_importance(torch.stack(lights).float(), channels=transfer.channels, rows=rows)
