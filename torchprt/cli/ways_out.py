@@ -12,6 +12,7 @@ from torchprt.cli.report import say
 from torchprt.errors import InputError
 
 if TYPE_CHECKING:
+    from torchprt.brdf import Brdf
     from torchprt.preview import Environment
     from torchprt.transfer import Transfer
 
@@ -23,13 +24,24 @@ def refuse(given: Mapping[str, Any], written: str) -> None:
             raise InputError(f"{option} is given, but {written} has no use for it: leave it out")
 
 
-def page(transfer: Transfer, folder: Path, lights: Sequence[Path] | None, compressed: Path | None, title: str) -> None:
-    """Writes the page of `--web` and says how to look at it."""
+def page(
+    transfer: Transfer,
+    folder: Path,
+    lights: Sequence[Path] | None,
+    compressed: Path | None,
+    title: str,
+    gloss: Brdf | None,
+) -> None:
+    """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open."""
     from torchprt import web
+    from torchprt.shade import with_material
     from torchprt.transfer import load
+    from torchprt.transfer.kinds import INCIDENT
 
     start = time.perf_counter()
     packed = None if compressed is None else load(compressed)
+    if isinstance(packed, INCIDENT) and gloss is not None:
+        packed = with_material(packed, gloss)
     environments = None if lights is None else [_environment(path, transfer.order) for path in lights]
     report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)
     say(f"{report}, written in {time.perf_counter() - start:.1f} s")

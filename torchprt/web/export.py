@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -17,13 +18,13 @@ import torch
 from torch import Tensor
 
 from torchprt import onnx, preview
-from torchprt.compress import decompress
 from torchprt.errors import InputError
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
 from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer
-from torchprt.transfer.kinds import BakedTransfer, CompressedTransfer, Transfer
+from torchprt.transfer import DiffuseTransfer, ZonalTransfer
+from torchprt.transfer.kinds import DIFFUSE, Transfer
+from torchprt.transfer.provenance import Provenance
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, luminance, of_order, samples, shown
 from torchprt.web.libraries import libraries
@@ -74,10 +75,10 @@ def export(
     """
     target = Path(folder)
     _check_folder(target)
-    full = _as_baked(transfer)
+    full = _at_rest(transfer)
     if len(full.faces) == 0:
         raise InputError("a page shows faces, and this transfer was recorded at loose points: export .onnx")
-    packed = None if compressed is None else _as_baked(compressed)
+    packed = None if compressed is None else _at_rest(compressed)
     if packed is not None:
         _check_same(full, packed)
     lights = samples(full.order) if environments is None else list(environments)
@@ -121,25 +122,37 @@ def _check_folder(target: Path) -> None:
         raise InputError(f"{target} holds something that is no page of torchprt: give another folder")
 
 
-def _as_baked(transfer: Transfer) -> BakedTransfer:
-    """What a graph can be made of."""
-    if isinstance(transfer, CompressedTransfer):
-        return decompress(transfer)
-    return transfer  # type: ignore[return-value]
+def _at_rest(transfer: Transfer) -> Transfer:
+    """What has a graph of light and rotation alone: lobes become the vectors that they stand for in the rest pose."""
+    if not isinstance(transfer, ZonalTransfer):
+        return transfer
+    with torch.no_grad():
+        vectors = shader(transfer).vectors(None).float()
+    return DiffuseTransfer(
+        transfer=vectors.contiguous(),
+        albedo=transfer.albedo,
+        positions=transfer.positions,
+        normals=transfer.normals,
+        faces=transfer.faces,
+        **{field.name: getattr(transfer, field.name) for field in dataclasses.fields(Provenance)},
+    )
 
 
-def _check_same(full: BakedTransfer, packed: BakedTransfer) -> None:
+def _check_same(full: Transfer, packed: Transfer) -> None:
     same = (
         full.order == packed.order
-        and isinstance(full, DiffuseTransfer) == isinstance(packed, DiffuseTransfer)
+        and isinstance(full, DIFFUSE) == isinstance(packed, DIFFUSE)
         and torch.equal(full.positions, packed.positions)
         and torch.equal(full.faces, packed.faces)
     )
     if not same:
-        raise InputError("the compressed transfer is of another bake: give what `torchprt compress` made of this one")
+        raise InputError(
+            "the compressed transfer is of another bake, or its vertices are in another order: give what `torchprt "
+            "compress` made of this one without --superclusters"
+        )
 
 
-def _reflectance(transfer: BakedTransfer) -> Tensor:
+def _reflectance(transfer: Transfer) -> Tensor:
     """What stands for the surface where there is no transfer, `[V, 3]`: black where there is no normal."""
     return torch.where(transfer.normals.abs().sum(-1, keepdim=True) > 0, reflectance(transfer), 0.0)
 
@@ -162,15 +175,15 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
     return name
 
 
-def _exposures(transfer: BakedTransfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
+def _exposures(transfer: Transfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
     """Stops that bring the brighter parts of the model (95 of 100 vertices) below the shoulder of the tone map."""
-    seen = {} if isinstance(transfer, DiffuseTransfer) else {"eye": torch.tensor(eye)}
+    seen = {} if isinstance(transfer, DIFFUSE) else {"eye": torch.tensor(eye)}
     with torch.no_grad():
         bright = luminance(shader(transfer)(light, **seen).float()).quantile(0.95, dim=-1)
     return [round(math.log2(0.5 / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
 
 
-def _about(full: BakedTransfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
+def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
     bounces = f", {full.bounces} {'bounce' if full.bounces == 1 else 'bounces'}" if full.bounces else ""
     about: dict[str, Any] = {
         "torchprt": VERSION,
@@ -181,7 +194,7 @@ def _about(full: BakedTransfer, transfer: Transfer, compressed: Transfer | None,
         "order": full.order,
         "vertices": full.vertices,
         "bytes": transfer.bytes,
-        "glossy": not isinstance(full, DiffuseTransfer),
+        "glossy": not isinstance(full, DIFFUSE),
         "closed": _is_closed(full.positions, full.faces),
         "full_scale": SHADOWS if compressed is None else COMPRESSION,
         "compressed": None,
