@@ -18,6 +18,7 @@ from .version import VERSION as __version__
 
 if TYPE_CHECKING:
     from . import brdf as brdf
+    from . import compress as compress
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from . import transfer as transfer
     from . import web as web
     from .bake import bake as bake
-    from .compress import compress as compress
 
 _ROOMS = (
     "bake",

@@ -52,16 +52,17 @@ def compress(
     seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
 ) -> None:
     """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix."""
-    import torchprt as prt
+    from torchprt import compress as room
+    from torchprt import transfer as kinds
 
     check_writable(output, (".safetensors",))
     chosen = options.choice(method, "--method", METHODS)
     target = None if error is None else fraction(error, "--error")
     size = None if bytes is None else byte_count(bytes, "--bytes")
     added = fraction(coherence, "--coherence")
-    loaded = prt.load_transfer(transfer)
+    loaded = kinds.load(transfer)
     start = time.perf_counter()
-    packed = prt.compress(
+    packed = room.compress(
         loaded,
         clusters=clusters,
         components=components,
@@ -75,9 +76,9 @@ def compress(
         seed=seed,
     )
     if superclusters is not None:
-        packed = prt.compress.reorder(packed, superclusters)
+        packed = room.reorder(packed, superclusters)
     taken = time.perf_counter() - start
-    prt.save_transfer(packed, output)
+    kinds.save(packed, output)
     say(f"{output}: {describe(packed)}, compressed in {taken:.1f} s")
     for line in details(packed)[1:3]:
         say(line)
