@@ -1,0 +1,240 @@
+"""Does the window show what it should, to a hand on the mouse and an eye on the screen?
+
+Needs Open3D, Xvfb and xdotool. Where one is missing all of this is skipped, and the reason says which.
+"""
+
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+from environments import lamp, save_exr
+from screen import Opened, Screen, missing
+from shapes import square
+
+import torchprt as prt
+from torchprt.bake import bake
+from torchprt.preview import Orbit, Still, automatic_exposure
+from torchprt.scene import Material, Object, Scene, make_mesh
+from torchprt.shade import display, shader
+
+SIZE = (480, 400)
+# The panel of text hides this corner of the picture.
+PANEL = np.s_[:120, :330]
+
+
+@pytest.fixture(scope="module")
+def screen():
+    lacking = missing()
+    if lacking:
+        pytest.skip(f"THE WINDOW IS NOT TESTED: {lacking} is missing; install torchprt[preview], xvfb and xdotool")
+    made = Screen()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A roof over a ground beside a coloured wall, without and with a bounce, and two lamps."""
+    folder = tmp_path_factory.mktemp("window")
+    ground, roof = square(2.0, 9), square(0.9, 5, height=0.5)
+    x, y, z = square(2.0, 9).positions.unbind(-1)
+    wall = make_mesh(torch.stack([y - 1, 1 - x, z], -1), ground.faces, name="wall")
+    scene = Scene([Object(ground, Material(0.7)), Object(roof, Material(0.6)), Object(wall, Material((0.8, 0.3, 0.1)))])
+    for name, bounces in (("shadowed", 0), ("bounced", 1)):
+        prt.save_transfer(
+            bake(scene, order=4, rays=64, bounces=bounces, progress=False), folder / f"{name}.safetensors"
+        )
+    save_exr(folder / "left.exr", lamp((-1.0, 1.5, 0.3)))
+    save_exr(folder / "right.exr", lamp((1.0, 1.5, 0.3)))
+    return folder
+
+
+def opened_on(screen, folder, files, *bakes):
+    lights = [word for name in ("left", "right") for word in ("--light", files / f"{name}.exr")]
+    return Opened(screen, folder, *(files / f"{name}.safetensors" for name in bakes), *lights, "--size", "480x400")
+
+
+@pytest.fixture(scope="module")
+def shared(screen, files, tmp_path_factory):
+    made = opened_on(screen, tmp_path_factory.mktemp("kept"), files, "shadowed", "bounced")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def window(shared):
+    """The window as it is when it opens."""
+    yield shared
+    shared.press("r")
+    shared.press("1")
+    shared.settled()
+
+
+def rest(picture):
+    """The picture without the panel."""
+    shown = picture.copy()
+    shown[PANEL] = 0
+    return shown
+
+
+def silhouette(picture):
+    """Where the model is: all but the grey of the ground."""
+    return np.abs(rest(picture) - rest(picture)[-1, -1]).max(-1) > 3
+
+
+def change(one, other):
+    return float(np.abs(rest(one) - rest(other)).mean())
+
+
+def test_the_keys_are_told_before_anything_is_pressed(shared):
+    assert any(line.startswith("shadowed: diffuse, shadowed, order 4") for line in shared.said)
+    assert any("turn the light" in line for line in shared.said)
+
+
+def test_the_picture_is_the_still_of_the_same_camera(window, files):
+    transfer = prt.load_transfer(files / "shadowed.safetensors")
+    light = prt.light.project(prt.light.read(files / "left.exr"), 4)
+    with torch.no_grad():
+        colours = display(shader(transfer)(light), exposure=automatic_exposure(light))
+    camera = Orbit.around(transfer.positions).camera()
+    still = Still(transfer.positions, transfer.faces, size=SIZE, camera=camera, samples=1)
+    # Vertex colours are interpolated as they are shown; the ground behind is its own colour.
+    wanted = (still.radiance(colours.float(), -1.0) * 255).numpy()
+    shown = window.settled()
+    inside = (wanted.min(-1) >= 0) & (np.arange(SIZE[1])[:, None] > PANEL[0].stop)
+    # Edges of triangles are drawn smooth in the window: away from them.
+    inner = inside[1:-1, 1:-1] & inside[2:, 1:-1] & inside[:-2, 1:-1] & inside[1:-1, 2:] & inside[1:-1, :-2]
+    apart = np.abs(shown[1:-1, 1:-1] - wanted[1:-1, 1:-1])[inner].max(-1)
+    assert inner.sum() > 3000
+    assert np.median(apart) <= 1
+    assert (apart > 3).mean() < 0.03
+
+
+def test_a_left_drag_turns_the_camera(window):
+    before = window.settled()
+    after = window.drag(70, 0)
+    assert (silhouette(before) ^ silhouette(after)).sum() > 0.1 * silhouette(before).sum()
+
+
+@pytest.mark.parametrize(("button", "shift"), [(3, False), (1, True)])
+def test_a_right_or_shift_drag_turns_the_light_and_not_the_camera(window, button, shift):
+    before = window.settled()
+    after = window.drag(100, 20, button=button, shift=shift)
+    assert change(before, after) > 1
+    # Here and there the model is as grey as the ground behind it.
+    assert (silhouette(before) ^ silhouette(after)).sum() < 0.02 * silhouette(before).sum()
+
+
+def test_back_in_the_beginning_the_picture_is_the_first(window):
+    before = window.settled()
+    window.drag(50, 30)
+    window.drag(50, 30, button=3)
+    assert window.press("r") == "camera and light as in the beginning"
+    assert np.array_equal(rest(window.settled()), rest(before))
+
+
+def test_the_wheel_goes_nearer(window):
+    before, after = window.settled(), window.wheel(4)
+    assert silhouette(after).sum() > 1.3 * silhouette(before).sum()
+
+
+def test_modes_are_different_pictures_of_one_shape(window):
+    pictures = {"transfer": window.settled()}
+    for key, mode in (("2", "unshadowed"), ("3", "one lamp"), ("4", "compressed"), ("5", "error")):
+        assert window.press(key).startswith(f"mode: {mode}")
+        pictures[mode] = window.settled()
+    names = list(pictures)
+    for place, one in enumerate(names):
+        for other in names[:place]:
+            assert change(pictures[one], pictures[other]) > 0.02, (one, other)
+    # No shadow of the roof without transfer.
+    assert change(pictures["one lamp"], pictures["transfer"]) > 2
+
+
+def test_keys_change_light_order_window_and_bounces(window):
+    first = window.settled()
+    for key, line, undo in (
+        ("Right", "environment: right.exr", ["Left"]),
+        ("minus", "order: 3", ["equal"]),
+        ("w", "window: hann", ["w", "w", "w", "w"]),
+        ("i", "bake: bounced, interreflected, 1 bounces", ["i"]),
+        ("Up", None, ["Down"]),
+    ):
+        said = window.press(key)
+        assert said == line or line is None
+        assert change(window.settled(), first) > 0.05, key
+        for back in undo:
+            window.press(back)
+        assert change(window.settled(), first) == 0, key
+
+
+def test_the_environment_appears_behind_the_model(window):
+    before = window.settled()
+    assert window.press("e") == "behind: environment"
+    photograph = window.settled()
+    outside = ~silhouette(before)
+    outside[PANEL] = False
+    assert (np.abs(photograph - before).max(-1) > 8)[outside].mean() > 0.9
+    window.press("e")
+    bands = window.settled()
+    assert change(photograph, bands) > 1
+    # It turns with the light.
+    assert (np.abs(window.drag(90, 0, button=3) - bands).max(-1) > 8)[outside].mean() > 0.3
+    window.press("e")
+
+
+def test_help_covers_the_corner_and_goes_away(window):
+    before = window.settled()
+    assert window.press("h") == "help: on"
+    helped = window.settled()
+    assert (np.abs(helped - before).max(-1) > 20).sum() > 10_000
+    assert window.press("h") == "help: off"
+    assert np.array_equal(window.settled(), before)
+
+
+def test_a_click_shows_the_transfer_function_of_the_vertex_that_was_hit(window):
+    before = window.settled()
+    assert window.click(240, 260).startswith("vertex ")
+    after = window.settled()
+    lobe = (np.abs(after - before).max(-1) > 8) & ~silhouette(before) | (after[..., 0] - after[..., 2] > 90)
+    assert lobe.sum() > 500
+    assert window.click(10, 390) == "no vertex picked"
+    assert np.array_equal(rest(window.settled()), rest(before))
+
+
+def test_frames_are_counted_on_demand(window):
+    window.press("h")
+    window.press("h")
+    before = window.settled()
+    assert window.press("f") == "frames per second: on"
+    window.press("f")
+    assert np.array_equal(rest(window.settled()), rest(before))
+
+
+def test_the_picture_of_the_window_is_saved(window):
+    shown = window.settled()
+    assert window.press("s") == "saving a picture"
+    saved = window.until("saved: ")[-1].removeprefix("saved: ")
+    with PIL.Image.open(window.folder / saved) as opened:
+        apart = np.abs(np.asarray(opened.convert("RGB")).astype(int) - shown).max(-1)
+    # Drawn once more, without smooth edges.
+    assert (apart > 1).mean() < 0.03
+
+
+# It ends
+
+
+@pytest.mark.parametrize("how", ["Escape", "cross"])
+def test_it_closes(screen, files, tmp_path, how):
+    window = opened_on(screen, tmp_path, files, "shadowed")
+    try:
+        if how == "cross":
+            window.ask_to_close()
+        else:
+            assert window.press(how) == "closed"
+        code, complaints = window.ended()
+    finally:
+        window.close()
+    assert code == 0
+    assert "Traceback" not in complaints
+    assert "torchprt:" not in complaints
