@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from torch import Tensor
 
 from torchprt import demo, light, preview, sh
 from torchprt.bake import bake
-from torchprt.scene import Material, Mesh, Object, Scene, make_mesh, samples
+from torchprt.compress import compress
+from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
 from torchprt.shade import display, shader
-from torchprt.transfer import DiffuseTransfer, Transfer
+from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer
 
 FOLDER = Path(__file__).parents[1] / "images"
 EXPOSURE = -2.2
@@ -200,6 +202,56 @@ def projections() -> Tensor:
     return torch.cat([preview.sheet(pictures, labels, 3), preview.sheet(maps, errors, 3)])
 
 
+@functools.cache
+def brushed() -> GlossyTransfer:
+    """A brushed teapot: exit matrices for compression."""
+    with warnings.catch_warnings():
+        # The smooth field of tangents is what is asked for.
+        warnings.simplefilter("ignore", TangentWarning)
+        scene = samples.teapot(30_000, Material(0.03, gloss="ward:0.2,0.4", specular=(1.0, 0.85, 0.65)))
+        found = bake(scene, order=5, rays=512, progress=False)
+    assert isinstance(found, GlossyTransfer)
+    return found
+
+
+def teapot_still(size: tuple[int, int]) -> tuple[preview.Still, preview.Camera]:
+    camera = preview.frame(brushed().positions, (0.5, 0.5, 1.0), aspect=size[0] / size[1], field=25.0)
+    return preview.Still(brushed().positions, brushed().faces, size=size, camera=camera, samples=3), camera
+
+
+def clusters() -> Tensor:
+    """Exit matrices by plain PCA, plain vector quantisation and clustered PCA, all for the time of a frame."""
+    still, camera = teapot_still((400, 270))
+    turn = sh.yaw_pitch_roll(torch.tensor([-20.0, 0.0, 0.0]))
+    lamps, _ = sh.least_window(sh.rotate(light.project(light.studio(256), 5), turn))
+    sizes: dict[str, dict[str, Any]] = {
+        "plain PCA, 20 vectors": {"clusters": 1, "components": 20, "method": "pca"},
+        "vector quantisation, 1792 clusters": {"clusters": 1792, "components": 0, "method": "vq"},
+        "clustered PCA, 256 clusters of 8": {"clusters": 256, "components": 8},
+    }
+    found: list[Transfer] = []
+    labels = []
+    for name, size in sizes.items():
+        packed = compress(brushed(), **size)
+        found.append(packed)
+        labels.append(f"{name}: error {packed.compression_error:.1%}")
+    radiance = [seen_from(each, lamps, camera) for each in [*found, brushed()]]
+    exposure = -math.log2(float(still.radiance(radiance[-1], 0.0).quantile(0.99))) - 0.3
+    pictures = [still.picture(each, exposure=exposure, background=0.01) for each in radiance]
+    return preview.sheet(pictures, [*labels, "uncompressed"], columns=2)
+
+
+def clusters_error() -> Tensor:
+    """Squared error of every vertex with 256 clusters of 8 PCA vectors, by method, on one scale."""
+    still, _ = teapot_still((340, 240))
+    methods = ("static", "iterative", "adaptive")
+    found = [compress(brushed(), clusters=256, components=8, method=method) for method in methods]
+    most = float(found[0].squared_error.quantile(0.98))
+    maps = [still.radiance(preview.error_colours(each.squared_error, most), background=1.0) for each in found]
+    labels = [f"{method}: error {each.compression_error:.1%}" for method, each in zip(methods, found, strict=True)]
+    return preview.sheet(maps, labels, columns=3)
+
+
 def lamp() -> plt.Figure:
     """A lamp toward (+x, a little up, a little front), as latitude-longitude map and as cube."""
     lamps = {
@@ -279,6 +331,8 @@ PICTURES = {
     "teapot": teapot,
     "streaks": streaks,
     "projections": projections,
+    "clusters": clusters,
+    "clusters_error": clusters_error,
     "basis": basis,
     "lamp": lamp,
 }
