@@ -3,11 +3,11 @@
 The room is called like its verb: `torchprt.bake(scene)` is `torchprt.bake.bake(scene)`.
 """
 
+from torchprt.checkpoint import CheckpointWarning as CheckpointWarning
 from torchprt.verb import call_room
 
 from .bake import bake as bake
 from .bake_glossy import OrderWarning as OrderWarning
-from .checkpoint import CheckpointWarning as CheckpointWarning
 from .diffuse import unshadowed as unshadowed
 from .directions import frames as frames
 from .directions import hemisphere as hemisphere

@@ -15,12 +15,12 @@ from torch import Tensor
 
 from torchprt.bake import bake_glossy, result
 from torchprt.bake.bake_glossy import Frame, Wanted
-from torchprt.bake.checkpoint import Checkpoint, fingerprint
+from torchprt.bake.checkpoint import Checkpoint
 from torchprt.bake.diffuse import unshadowed
 from torchprt.bake.directions import hemisphere
 from torchprt.bake.estimate import error_and_signal
 from torchprt.bake.membrane import sheets
-from torchprt.bake.progress import Bar, Report, Silent
+from torchprt.bake.progress import Bar
 from torchprt.bake.receivers import Receivers
 from torchprt.bake.solve import (
     Job,
@@ -34,7 +34,9 @@ from torchprt.bake.solve import (
     vertex_receivers,
 )
 from torchprt.bake.workers import CHUNK, Workers, chunks
+from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
+from torchprt.progress import Report, Silent
 from torchprt.scene import Geometry, Points, Scene
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
@@ -70,7 +72,7 @@ def bake(
     - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
-    - `progress`: a bar on standard error, or an object with the methods of `bake.progress.Report`.
+    - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
 
     For glossy materials:
     - `frame`: "exit" (the BRDF baked in: `GlossyTransfer`), "incident" (the BRDF chosen at run time:

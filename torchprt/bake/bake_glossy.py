@@ -16,7 +16,6 @@ from torchprt.bake.directions import hemisphere
 from torchprt.bake.estimate import glossy_error_and_signal
 from torchprt.bake.glossy import glossy
 from torchprt.bake.membrane import Sheets
-from torchprt.bake.progress import Report
 from torchprt.bake.receivers import Receivers, tangent_frames
 from torchprt.bake.rows import Recording
 from torchprt.bake.solve import Job, channels_first, every_chunk
@@ -25,6 +24,7 @@ from torchprt.bake.visibility import on_the_fly, product_error
 from torchprt.bake.workers import Workers, chunks
 from torchprt.brdf import exit_error, factor
 from torchprt.errors import InputError
+from torchprt.progress import Report
 from torchprt.scene import Geometry
 from torchprt.sh import Projection, exit_count
 from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer

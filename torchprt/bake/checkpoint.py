@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterable
 from pathlib import Path
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from torchprt.checkpoint import CheckpointWarning
 from torchprt.errors import InputError
 from torchprt.files import atomic
-
-
-class CheckpointWarning(UserWarning):
-    """A checkpoint of another bake was found and is not used."""
 
 
 class Checkpoint:
@@ -83,15 +77,6 @@ class Checkpoint:
         """Removes the folder: the bake is done."""
         self.close()
         shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def fingerprint(tensors: Iterable[Tensor], parameters: dict[str, object]) -> str:
-    """A digest of all that decides the result of a bake."""
-    digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    for tensor in tensors:
-        digest.update(f"{tuple(tensor.shape)} {tensor.dtype}".encode())
-        digest.update(tensor.detach().cpu().contiguous().view(torch.uint8).numpy().data)
-    return digest.hexdigest()
 
 
 def _fingerprint_in(manifest: Path) -> str | None:

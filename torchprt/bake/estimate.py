@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchprt.bake.progress import Report
 from torchprt.bake.solve import Job, gathered
 from torchprt.bake.solve_glossy import GlossyJob, GlossySolution, record
 from torchprt.bake.workers import Workers
+from torchprt.progress import Report
 
 # Receivers that are traced again at most, and with how many times the rays.
 SAMPLE, SAMPLE_RAYS = 64, 8

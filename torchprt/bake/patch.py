@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from torchprt.bake.bake import bake
-from torchprt.bake.progress import Report
 from torchprt.errors import InputError
+from torchprt.progress import Report
 from torchprt.scene import Material, Mesh, Object, Points, Scene, make_mesh, tiled
 from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer

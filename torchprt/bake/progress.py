@@ -3,30 +3,10 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Protocol, runtime_checkable
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.text import Text
-
-
-@runtime_checkable
-class Report(Protocol):
-    """What a bake tells while it works."""
-
-    def start(self, stage: str, total: int, done: int = 0) -> None:
-        """A stage begins: `total` rays (or receivers, for a bounce), of which `done` were there already."""
-
-    def advance(self, count: int) -> None:
-        """`count` more are done."""
-
-
-class Silent:
-    """Tells nothing."""
-
-    def start(self, stage: str, total: int, done: int = 0) -> None: ...
-
-    def advance(self, count: int) -> None: ...
 
 
 class _Rate(ProgressColumn):

@@ -15,10 +15,10 @@ from torchprt.bake.checkpoint import Checkpoint
 from torchprt.bake.diffuse import projection, shadowed
 from torchprt.bake.directions import hemisphere
 from torchprt.bake.membrane import Sheets
-from torchprt.bake.progress import Report
 from torchprt.bake.receivers import Receivers
 from torchprt.bake.workers import Workers, chunks
 from torchprt.errors import InputError
+from torchprt.progress import Report
 from torchprt.scene import Geometry
 from torchprt.trace import Tracer
 

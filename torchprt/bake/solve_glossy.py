@@ -12,11 +12,11 @@ from torch import Tensor
 from torchprt.bake.checkpoint import Checkpoint
 from torchprt.bake.directions import hemisphere
 from torchprt.bake.glossy import Arrivals, Exitant, Glossy, Tables, gathered, shadowed, tables
-from torchprt.bake.progress import Report
 from torchprt.bake.receivers import Receivers
 from torchprt.bake.rows import Recording
 from torchprt.bake.solve import ENERGY, Job, every_chunk, kept
 from torchprt.bake.workers import Workers, chunks
+from torchprt.progress import Report
 
 
 @dataclass
