@@ -92,7 +92,7 @@ def _sheet(
     rear = np.maximum(np.interp(span, ends, REAR) - 0.2 * between * (1 - 0.5 * span), front + 0.02)
     z = rear + (front - rear) * chord
     slack = (1 - chord) ** 1.5
-    folds = 0.13 * between * slack * (1 - 0.5 * span) + 0.012 * between * slack * np.sin(2 * np.pi * 22 * span)
+    folds = 0.13 * between * slack * (1 - 0.5 * span) + 0.006 * between * slack * np.sin(2 * np.pi * 22 * span)
     camber = 0.16 * chord * (1 - chord) * (1 - span)
     return np.stack([2 * side, camber - folds, z], axis=1), faces, np.clip(bone, 0, 1)
 

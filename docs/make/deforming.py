@@ -1,0 +1,297 @@
+"""The figures, pictures and animations of docs/deforming.md: what lobes keep when surfaces bend.
+
+    python docs/make/deforming.py [NAME ...]
+
+All of them without a name. Error is RMS relative to the RMS of the reference.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+from pathlib import Path
+
+import torch
+from PIL import Image
+from rich.console import Console
+from torch import Tensor
+
+from torchprt import light, preview, sh
+from torchprt.bake import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle
+from torchprt.compress import fit
+from torchprt.measure import Table, relative_rms
+from torchprt.scene import Material, Mesh, Object, Scene, bend, make_mesh, samples, twist
+from torchprt.shade import SkinnedMesh, deformed_frames, lay, shader
+from torchprt.transfer import DiffuseTransfer, Transfer, ZonalMap, ZonalTransfer, zonal_map
+
+FOLDER = Path(__file__).parents[1] / "images"
+ORDER = 6
+FRAMES = 24
+
+
+def lamps() -> Tensor:
+    """A bright disc from the upper left and a little of everything."""
+    disc = light.disc((-0.9, 0.7, 0.3), math.radians(20), 1.1, order=ORDER, normalise=True)
+    return (disc + light.constant(0.1, order=ORDER)).float()
+
+
+@functools.cache
+def head() -> Mesh:
+    return samples.head().objects[0].mesh
+
+
+def diffuse(mesh: Mesh, positions: Tensor, **options: bool) -> DiffuseTransfer:
+    """The mesh baked in a pose."""
+    scene = Scene([Object(make_mesh(positions, mesh.faces, name=mesh.name), Material(0.6))])
+    baked = bake(scene, order=ORDER, progress=False, **options)
+    assert isinstance(baked, DiffuseTransfer)
+    return baked
+
+
+@functools.cache
+def lobes(count: int) -> ZonalTransfer:
+    """Transfer of the head at rest in zonal lobes."""
+    found = fit(diffuse(head(), head().positions), lobes=count)
+    assert isinstance(found, ZonalTransfer)
+    return found
+
+
+def posed_head(bending: float, twisting: float) -> Tensor:
+    return bend(twist(head().positions, twisting, 0.2, 1.9), bending, 0.2, 1.9)
+
+
+def shaded(transfer: Transfer, lights: Tensor, **pose: Tensor) -> Tensor:
+    with torch.no_grad():
+        return shader(transfer)(lights, **pose)
+
+
+def turned_vectors(transfer: DiffuseTransfer, frames: Tensor, lights: Tensor) -> Tensor:
+    """Radiance of whole transfer vectors turned by the frames: what any number of lobes tends to."""
+    vectors = sh.rotate(transfer.transfer[0].mT[..., None].double(), frames.double())[..., 0]
+    return 0.6 * (vectors.float() @ lights)
+
+
+def truth() -> Table:
+    """Error of every way to shade the deformed head, against transfer baked on the deformed head."""
+    table = Table("head, order 6, studio from eight sides: relative RMS error against a bake of the pose")
+    poses = {"bent .3, twisted .3": (0.3, 0.3), "bent .5, twisted .6": (0.5, 0.6), "bent .8, twisted 1": (0.8, 1.0)}
+    project = light.project(light.studio(256), ORDER).float()
+    yaws = torch.arange(8) * 45.0
+    lights = sh.rotate(project, sh.yaw_pitch_roll(torch.stack([yaws, 0 * yaws, 0 * yaws], -1)))
+    rest = diffuse(head(), head().positions)
+    names = ["unshadowed", "as baked at rest", *(f"lobes, N = {n}" for n in (1, 2, 3, 4)), "vectors turned whole"]
+    rows: dict[str, dict[str, str]] = {name: {} for name in names}
+    for pose, angles in poses.items():
+        positions = posed_head(*angles)
+        wanted = shaded(diffuse(head(), positions), lights)
+        frames = deformed_frames(head().positions, head().faces, positions)
+        found = [shaded(diffuse(head(), positions, shadows=False), lights), shaded(rest, lights)]
+        found += [shaded(lobes(n), lights, positions=positions.float()) for n in (1, 2, 3, 4)]
+        found.append(turned_vectors(rest, frames, lights))
+        for name, radiance in zip(names, found, strict=True):
+            rows[name][pose] = f"{relative_rms(radiance, wanted):.1%}"
+    for name, columns in rows.items():
+        table.add(name, extra=columns)
+    return table
+
+
+def deformed() -> Tensor:
+    """The bent and twisted head by four kinds of transfer: figure 6 c to e of the paper, and unshadowed."""
+    positions = posed_head(0.5, 0.6)
+    camera = preview.frame(positions, (-0.1, 0.15, 1.0), aspect=0.8)
+    still = preview.Still(positions, head().faces, size=(320, 400), camera=camera, samples=3)
+    rest = diffuse(head(), head().positions)
+    found = {
+        "unshadowed": shaded(diffuse(head(), positions, shadows=False), lamps()),
+        "as baked at rest": shaded(rest, lamps()),
+        "four lobes": shaded(lobes(4), lamps(), positions=positions.float()),
+        "baked in the pose": shaded(diffuse(head(), positions), lamps()),
+    }
+    return preview.sheet([still.picture(each) for each in found.values()], list(found), columns=4)
+
+
+def bending() -> list[Tensor]:
+    """The head sways under a light that stays; lobes."""
+    phases = torch.arange(FRAMES) * (2 * math.pi / FRAMES)
+    poses = [posed_head(0.5 * math.sin(phase), 0.7 * math.sin(phase + 0.9)) for phase in phases.tolist()]
+    camera = preview.frame(torch.cat(poses), (-0.1, 0.15, 1.0), aspect=1.0)
+    pictures = []
+    for positions in poses:
+        still = preview.Still(positions, head().faces, size=(280, 280), camera=camera, samples=2)
+        pictures.append(still.picture(shaded(lobes(4), lamps(), positions=positions.float())))
+    return pictures
+
+
+@functools.cache
+def wings() -> tuple[ZonalTransfer, SkinnedMesh]:
+    """The wings as membranes whose fingers let little through, and their skin."""
+    transfer = membrane_lobes(samples.wing(), order=ORDER, translucency=samples.wing_translucency())
+    return transfer, SkinnedMesh(transfer.positions, samples.wing_rig().weights.float())
+
+
+def flapping() -> list[Tensor]:
+    """A beat of the wings before a light from behind."""
+    transfer, skin = wings()
+    beat = samples.wing_rig().pose(samples.flap(torch.arange(FRAMES, dtype=torch.float64) / FRAMES)).float()
+    positions, frames = skin(beat)
+    disc = light.disc((0.2, 0.75, -0.8), math.radians(15), 1.8, order=ORDER, normalise=True)
+    sky = (disc + light.constant(0.12, order=ORDER)).float()
+    radiance = shaded(transfer, sky, frames=frames)
+    camera = preview.frame(positions.flatten(0, 1), (0.5, 0.15, 1.0), aspect=1.1)
+    stills = (preview.Still(each, transfer.faces, size=(330, 300), camera=camera, samples=3) for each in positions)
+    return [still.picture(each) for still, each in zip(stills, radiance, strict=True)]
+
+
+PATCHES = {"bumps": (samples.bumps, 7), "waffle": (samples.waffle, 9), "wrinkles": (samples.wrinkles, 4)}
+
+
+def on_the_vase(patch: ZonalMap, around: int, mesh: Mesh, positions: Tensor) -> Tensor:
+    """Radiance of the vase in a pose, covered with a patch; repeated so that patches are square at its belly."""
+    laid = lay(patch, mesh.positions.float(), mesh.faces, mesh.uv, repeat=(around, 1.27 * around), normals=mesh.normals)
+    return shaded(laid, lamps(), positions=positions.float())
+
+
+def patches() -> Tensor:
+    """Three patches on a bent and twisted vase, unshadowed and by four lobes: figures 5 and 7 of the paper."""
+    mesh = samples.vase(300).objects[0].mesh
+    positions = bend(twist(mesh.positions, 0.6, 0.2, 2.0), 0.4, 0.2, 2.0)
+    camera = preview.frame(positions, (-0.05, 0.35, 1.0), aspect=0.8)
+    still = preview.Still(positions, mesh.faces, size=(320, 400), camera=camera, samples=3)
+    pictures, labels = [], []
+    for shadows in (False, True):
+        for name, (sample, around) in PATCHES.items():
+            patch = bake_patch(sample(96), size=64, shadows=shadows, albedo=0.7)
+            pictures.append(still.picture(on_the_vase(patch, around, mesh, positions)))
+            labels.append(f"{name}, {'shadowed' if shadows else 'unshadowed'}")
+    return preview.sheet(pictures, labels, columns=3)
+
+
+GROOVES, DEEP = 20, 0.35
+
+
+def wrinkled() -> Tensor:
+    """A bent cylinder whose wrinkles deepen toward its middle: flat, by the wrinkle map, and as a relief baked anew."""
+    mesh = samples.cylinder(240).objects[0].mesh
+    height = mesh.positions[:, 1] / 3
+    depth = (math.pi * height).sin()
+    positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+    assert mesh.uv is not None
+    # u counts grooves, v is their depth.
+    uv = torch.stack([mesh.uv[..., 0] * GROOVES, depth[mesh.faces]], -1)
+    patch = wrinkle(32, depth=DEEP)
+    rest = mesh.positions.float()
+    frames = lay_frames(mesh)
+    found = {}
+    camera = preview.frame(positions, (-0.25, 0.2, 1.0), aspect=0.6)
+    smooth = diffuse(mesh, positions, shadows=False)
+    found["smooth"] = (positions, shaded(smooth, lamps()))
+    laid = lay(patch, rest, mesh.faces, uv, frames=frames.float())
+    flat = lay(unshadowed_wrinkle(), rest, mesh.faces, uv, frames=frames.float())
+    found["wrinkles, unshadowed"] = (positions, 0.6 * shaded(flat, lamps(), positions=positions.float()))
+    found["wrinkle map"] = (positions, 0.6 * shaded(laid, lamps(), positions=positions.float()))
+    relief = carved(mesh, depth)
+    deformed = twist(bend(relief, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+    found["relief, baked in the pose"] = (deformed, shaded(diffuse(mesh, deformed), lamps()))
+    pictures = []
+    for points, radiance in found.values():
+        still = preview.Still(points, mesh.faces, size=(270, 450), camera=camera, samples=3)
+        pictures.append(still.picture(radiance))
+    return preview.sheet(pictures, list(found), columns=4)
+
+
+def lay_frames(mesh: Mesh) -> Tensor:
+    """Tangent frames of the cylinder from its own texture coordinates: those that drive the wrinkles are no chart."""
+    from torchprt.shade import surface_frames
+
+    return surface_frames(mesh.positions, mesh.faces, mesh.uv, mesh.normals)
+
+
+def unshadowed_wrinkle() -> ZonalMap:
+    """A map of the slopes of the grooves alone: clamped cosines about tilted normals."""
+    rows = columns = 64
+    v, u = ((torch.arange(64, dtype=torch.float64) + 0.5) / 64 for _ in range(2))
+    slope = -math.pi * DEEP * v[:, None] * torch.sin(2 * math.pi * u)
+    normal = torch.nn.functional.normalize(torch.stack([-slope, 0 * slope, 1 + 0 * slope]), dim=0)
+    cosine = sh.clamped_cosine(ORDER) / math.pi
+    texels = ZonalTransfer(
+        axis=normal.reshape(1, 3, -1),
+        coefficients=cosine[None, None, :, None].expand(1, 1, ORDER, rows * columns),
+        exact=torch.zeros(1, 0, rows * columns, dtype=torch.float64),
+        squared_error=torch.zeros(rows * columns, dtype=torch.float64),
+        albedo=torch.ones(1, 1),
+        positions=torch.zeros(rows * columns, 3),
+        normals=normal.reshape(3, -1).mT.contiguous(),
+        faces=torch.zeros(0, 3, dtype=torch.int64),
+        smooth=True,
+    )
+    return zonal_map(texels, rows, columns, tiles_v=False)
+
+
+def carved(mesh: Mesh, depth: Tensor) -> Tensor:
+    """The cylinder with grooves cut into it."""
+    width = 2 * math.pi * 0.5 / GROOVES
+    angle = torch.atan2(-mesh.normals[:, 2], mesh.normals[:, 0])
+    cut = DEEP * depth * width / 2 * ((GROOVES * angle).cos() - 1)
+    return mesh.positions + cut[:, None] * mesh.normals
+
+
+def fits() -> Table:
+    """What patches of 64 x 64 texels cost and lose."""
+    table = Table("patches, 64 x 64 texels, order 6, 1024 rays: relative RMS error of the fit")
+    for name, (sample, _) in PATCHES.items():
+        texels = patch_transfer(sample(96), size=64)
+        columns: dict[str, str | int] = {}
+        for count in (1, 2, 3, 4):
+            found = fit(texels, lobes=count)
+            assert isinstance(found, ZonalTransfer)
+            columns[f"N = {count}"] = f"{found.fit_error:.2%}"
+            columns["kB, N = 4"] = round(found.bytes / 1024)
+        table.add(name, extra=columns)
+    model = wrinkle(32, depth=DEEP)
+    table.add("wrinkle map, 32 x 32", extra={"N = 3": f"{model.fit_error:.2%}"})
+    return table
+
+
+def animation(name: str, pictures: list[Tensor]) -> None:
+    """A strip of every third frame as PNG, all as GIF."""
+    strip = pictures[::3]
+    preview.save_png(preview.sheet(strip, [f"frame {3 * k}" for k in range(len(strip))], columns=4), path(name, "png"))
+    frames = [Image.fromarray((picture.numpy() * 255).round().astype("uint8")) for picture in pictures]
+    # One palette for all frames: its own for each would make colours flicker.
+    palette = Image.fromarray(torch.cat(pictures[::3]).mul(255).round().byte().numpy()).quantize(128)
+    small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    small[0].save(path(name, "gif"), save_all=True, append_images=small[1:], duration=70, loop=0, optimize=True)
+
+
+def path(name: str, suffix: str) -> Path:
+    return FOLDER / f"{name}.{suffix}"
+
+
+TABLES = {"truth": truth, "fits": fits}
+PICTURES = {"deformed": deformed, "patches": patches, "wrinkled": wrinkled}
+ANIMATIONS = {"bending": bending, "flapping": flapping}
+
+
+def main(names: list[str]) -> None:
+    known = [*TABLES, *PICTURES, *ANIMATIONS]
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        sys.exit(f"there is no {unknown[0]}: choose from {' '.join(known)}")
+    FOLDER.mkdir(exist_ok=True)
+    console = Console(width=140)
+    for name in names or known:
+        if name in TABLES:
+            console.print(TABLES[name]())
+            continue
+        if name in PICTURES:
+            preview.save_png(PICTURES[name](), path(name, "png"))
+        else:
+            animation(name, ANIMATIONS[name]())
+        Image.open(path(name, "png")).convert("RGB").save(path(name, "png"), optimize=True)
+        for written in sorted(FOLDER.glob(f"{name}.*")):
+            print(f"{written}: {written.stat().st_size / 1024:.0f} kB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
