@@ -6,6 +6,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
+from transfers import random_glossy
 
 from torchprt import light, sh
 from torchprt.errors import InputError
@@ -134,6 +135,19 @@ def test_rays_are_traced_once_for_a_light_that_goes_around(transfer, monkeypatch
     assert len(made) == 1
     list(studio(transfer).turntable(5, orbit, torch.eye(3)))
     assert len(made) == 6
+
+
+def test_glossy_pictures_are_shaded_for_the_eye_of_the_camera(transfer):
+    glossy = random_glossy("glossy", vertices=36)
+    glossy.positions, glossy.faces = transfer.positions, transfer.faces
+    orbit = Orbit.around(transfer.positions, (1.0, 0.8, 0.3), sides=3)
+    found = list(Studio(glossy, shader(glossy), environment(), size=SIZE).turntable(3, orbit, torch.eye(3)))
+    for number, picture in enumerate(found):
+        camera = orbit.turned(-2 * math.pi * number / 3, 0.0).camera()
+        with torch.no_grad():
+            radiance = shader(glossy)(environment().light, eye=torch.tensor(camera.eye))
+        still = Still(glossy.positions, glossy.faces, size=SIZE, camera=camera)
+        torch.testing.assert_close(picture, still.picture(radiance), rtol=0, atol=1e-3)
 
 
 # Files

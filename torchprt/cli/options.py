@@ -176,7 +176,7 @@ def positions(path: Path) -> Tensor:
         values = np.load(path)
     except OSError as fault:
         raise InputError(f"{path} cannot be read ({fault.strerror or fault}): check the name") from None
-    except ValueError:
+    except (ValueError, EOFError):
         raise InputError(f"{path} is no .npy of numbers: write one with numpy.save") from None
     if not isinstance(values, np.ndarray) or values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind not in "fiu":
         raise InputError(f"{path} does not hold poses: it must be numbers of shape T x V x 3, a pose after the other")
