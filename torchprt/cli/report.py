@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torchprt.transfer import CompressedTransfer, Transfer
+    from torchprt.transfer import CompressedTransfer, Transfer, ZonalFactoredTransfer, ZonalTransfer
 
 
 def say(what: Any) -> None:
@@ -44,7 +44,7 @@ def describe(transfer: Transfer) -> str:
 
 def _stored(transfer: Any) -> Tensor:
     """What most of the bytes are."""
-    names = ("transfer", "matrix", "weights", "visibility")
+    names = ("transfer", "matrix", "weights", "visibility", "coefficients")
     return next(getattr(transfer, name) for name in names if hasattr(transfer, name))
 
 
@@ -55,6 +55,8 @@ def details(transfer: Transfer) -> list[str]:
         ClusteredVisibilityTransfer,
         FactoredTransfer,
         VisibilityTransfer,
+        ZonalFactoredTransfer,
+        ZonalTransfer,
     )
     from torchprt.transfer.clustered import Clusters
     from torchprt.transfer.kinds import DIFFUSE, INCIDENT
@@ -62,13 +64,15 @@ def details(transfer: Transfer) -> list[str]:
     lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces, albedo {_weight(transfer.albedo)}"]
     if isinstance(transfer, Clusters):
         lines += _clusters(transfer)
+    if isinstance(transfer, ZonalTransfer | ZonalFactoredTransfer):
+        lines.append(_lobes(transfer))
     if isinstance(transfer, DIFFUSE):
         return lines
     names = ", ".join(transfer.materials) or "none"
     lines.append(f"materials {names}, specular {_weight(transfer.specular)}")
     if isinstance(transfer, INCIDENT):
         lines.append("the reflectance is chosen when it is shaded" + ", bounces excepted" * bool(transfer.bounces))
-    elif isinstance(transfer, FactoredTransfer | ClusteredFactoredTransfer):
+    elif isinstance(transfer, FactoredTransfer | ClusteredFactoredTransfer | ZonalFactoredTransfer):
         if transfer.factor_error is not None:
             lines.append(f"{len(transfer.factors)} factors hold the material to {transfer.factor_error:.2%}")
     elif transfer.exit_error is not None:
@@ -103,6 +107,17 @@ def _clusters(transfer: CompressedTransfer) -> list[str]:
     drawn = f", overdraw {overdraw(faces, transfer.label):.3f}" if len(faces) else ""
     order = ", vertices in the order of clusters" if len(transfer.original) else ""
     return [about, f"{told}, worst vertex {worst:.1f} times the RMS{drawn}{order}"]
+
+
+def _lobes(transfer: ZonalTransfer | ZonalFactoredTransfer) -> str:
+    """How transfer is held in lobes that turn with the surface."""
+    each = "row" if hasattr(transfer, "factors") else "vertex"
+    about = f"{transfer.lobes} {'lobe' if transfer.lobes == 1 else 'lobes'} a {each}"
+    if transfer.exact.shape[-2]:
+        about += ", bands 0 and 1 exact"
+    if transfer.smooth:
+        about += ", lobes of neighbours correspond"
+    return about if transfer.fit_error is None else f"{about}, fit error {transfer.fit_error:.2%} (relative RMS)"
 
 
 def _rows(transfer: Any) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import compressing, look, options
+from torchprt.cli import compressing, look, options, posing
 from torchprt.cli.report import complain, describe, details, say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
@@ -142,6 +142,9 @@ def shade(
         str | None, typer.Option(help="Gloss: the point X,Y,Z that sees it.", show_default="the camera of the .png")
     ] = None,
     toward: Annotated[str | None, typer.Option(help="Gloss: the direction X,Y,Z to a distant eye.")] = None,
+    pose: Annotated[
+        list[Path] | None, typer.Option(help="Of zonal lobes: the baked mesh, its vertices moved (repeat as in bake).")
+    ] = None,
     material: Chosen = None,
     exposure: Annotated[float, typer.Option(help="In stops, for .ply, .glb and .png.")] = 0.0,
     tone: Annotated[str, typer.Option(help="filmic or none, for .ply, .glb and .png.")] = "filmic",
@@ -165,6 +168,9 @@ def shade(
     if not abs(exposure) <= 100:
         raise InputError(f"--exposure is {exposure}: give stops from -100 to 100")
     loaded = prt.load_transfer(transfer)
+    rest, moved = loaded, dict[str, torch.Tensor]()
+    if pose:
+        loaded, moved = posing.in_pose(rest, pose)
     still, framed = None, None
     if output.suffix.lower() == ".png":
         framed = preview.frame(loaded.positions, side, aspect=width / height)
@@ -172,7 +178,7 @@ def shade(
     chosen, seen = options.gloss_of(loaded, material), _eye_of(loaded, seen, framed)
     coefficients = options.windowed(options.light(light, loaded.order, repair), window)
     with torch.no_grad():
-        radiance = prt.shader(loaded, brdf=chosen)(coefficients, turn, **seen).float()
+        radiance = prt.shader(rest, brdf=chosen)(coefficients, turn, **seen, **moved).float()
     dark = int((loaded.normals.abs().sum(-1) == 0).sum())
     if dark:
         say(f"{dark} of {len(radiance)} vertices have no normal and read 0")
@@ -233,6 +239,9 @@ def export(
     fix_light: Annotated[
         Path | None, typer.Option(help="Gloss: an .npy or image of the light that never changes.")
     ] = None,
+    pose: Annotated[
+        str | None, typer.Option(help="Zonal lobes: the pose is frames or positions.", show_default="frames")
+    ] = None,
     material: Chosen = None,
     web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
     light: Annotated[
@@ -250,6 +259,7 @@ def export(
 
     ends = output.suffix.lower()
     graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
+    graph["--pose"] = pose
     page = {"--light": light, "--compressed": compressed, "--title": title}
     if web:
         ways_out.refuse(graph | {"--order": order}, "a page")
@@ -258,6 +268,7 @@ def export(
         ways_out.refuse(page | (graph if ends == ".glb" else {"--order": order}), f"{ends} without --web")
     start = options.choice(source or "light", "--from", ("light", "environment"))
     kind = options.choice(eye or "point", "--eye", ("point", "direction"))
+    taken = None if pose is None else options.choice(pose, "--pose", ("frames", "positions"))
     place = None if fix_eye is None else options.numbers(fix_eye, 3, "--fix-eye")
     if kind == "direction" and place is not None:
         options.direction(fix_eye or "", "--fix-eye")
@@ -274,8 +285,9 @@ def export(
     if ends == ".glb":
         return ways_out.mesh(loaded, output, order)
     lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
+    texels = 32 if size is None else size
     report = prt.onnx.export(
-        loaded, output, source=start, size=32 if size is None else size, eye=kind, fix_eye=place, fix_light=lamps
+        loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
     )
     say(report)
     if report.parity is not None:
