@@ -56,6 +56,7 @@ EQUAL_COST: dict[str, dict[str, Any]] = {
     "VQ": {"clusters": 1792, "components": 0, "method": "vq"},
     "CPCA": {"components": 8},
 }
+PICTURE = {"bunny": (340, 330), "teapot": (400, 270), "sculpture": (340, 300)}
 VIEWS = {"bunny": (0.25, 0.3, 1.0), "teapot": (0.5, 0.45, 1.0), "sculpture": (0.35, 0.45, 1.0)}
 
 
@@ -165,12 +166,14 @@ def figure3() -> Table:
 
 
 def lamps(order: int) -> Tensor:
-    return sh.least_window(light.project(light.studio(256), order))[0]
+    turn = sh.yaw_pitch_roll(torch.tensor([-60.0, 0.0, 0.0]))
+    return sh.least_window(sh.rotate(light.project(light.studio(256), order), turn))[0]
 
 
-def still(model: str, size: tuple[int, int]) -> tuple[preview.Still, Tensor]:
+def still(model: str) -> tuple[preview.Still, Tensor]:
     """The model in a picture, and its eye."""
     name, shape = mesh(model)
+    size = PICTURE[name]
     camera = preview.frame(shape.positions, VIEWS[name], aspect=size[0] / size[1])
     transfer = diffuse(model)
     return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3), torch.tensor(
@@ -189,7 +192,7 @@ def figure4() -> Table:
     table = Table("figure 4: squared error at n' = 3, and relative to static")
     for model in ("smooth", "bumpy"):
         name = mesh(model)[0]
-        view, _ = still(model, (360, 340))
+        view, _ = still(model)
         found = {method: compressed(diffuse(model), name, components=3, method=method) for method in METHODS}
         errors = {method: squared(each) for method, each in found.items()}
         for method, error in errors.items():
@@ -201,7 +204,7 @@ def figure4() -> Table:
         maps = [
             view.radiance(preview.error_colours(each.squared_error, most), background=1.0) for each in found.values()
         ]
-        shown = [view.picture(radiance(each), exposure=-1.7) for each in found.values()]
+        shown = [view.picture(radiance(each), exposure=-2.0) for each in found.values()]
         labels = [f"{method} [{errors[method]:.3g}; paper {FIGURE4[method]}]" for method in METHODS]
         if model == "bumpy":
             labels = [f"{method} [{errors[method]:.3g}]" for method in METHODS]
@@ -244,10 +247,15 @@ def figure6() -> Table:
     table = Table("figure 6: squared error of order-10 light over a square and the ground, 64 clusters")
     scene = samples.plane_and_blocker(96)
     transfer = kept("square_diffuse_10", scene, order=10)
-    lower = transfer.to_order(5)
     camera = preview.frame(transfer.positions, (0.0, 1.0, 0.35), aspect=1.0)
     view = preview.Still(transfer.positions, transfer.faces, size=(260, 260), camera=camera)
-    lamp = light.disc((0.35, 1.0, 0.2), 0.15, 1.0, 10, normalise=True).float()
+
+    def shown(each: Transfer) -> Tensor:
+        lamp = light.disc((0.35, 1.0, 0.2), 0.15, 1.0, each.order, normalise=True).float()
+        with torch.no_grad():
+            found = shader(each)(sh.window(lamp, sh.lanczos(each.order, dtype=torch.float32)))
+        return view.picture(found, tone="none")
+
     pictures, labels, unit = [], [], 0.0
     for name, published in FIGURE6.items():
         method, count = name.split(", n' = ")
@@ -256,12 +264,9 @@ def figure6() -> Table:
         unit = unit or error
         theirs = f"{published} ({published / next(iter(FIGURE6.values())):.3f})"
         table.add(name, extra={"published": theirs, "torchprt": f"{error:.3g} ({error / unit:.3f})"})
-        with torch.no_grad():
-            pictures.append(view.picture(shader(found)(lamp), tone="none"))
+        pictures.append(shown(found))
         labels.append(f"order 10, {name}")
-    with torch.no_grad():
-        pictures.append(view.picture(shader(lower)(lamp[:25]), tone="none"))
-        pictures.append(view.picture(shader(transfer)(lamp), tone="none"))
+    pictures += [shown(transfer.to_order(5)), shown(transfer)]
     preview.save_png(preview.sheet(pictures, [*labels, "order 5", "order 10"], 6), OUT / "figure6.png")
     return table
 
@@ -271,8 +276,8 @@ def figure10() -> Table:
     table = Table("figure 10: squared error at equal run-time cost, 25 x 25 matrices; and relative to CPCA")
     errors: dict[str, dict[str, float]] = {}
     for model in ("smooth", "bumpy"):
-        name, size = mesh(model)[0], (330, 320)
-        view, eye = still(model, size)
+        name = mesh(model)[0]
+        view, eye = still(model)
         found = {each: compressed(glossy(model), name, **options) for each, options in EQUAL_COST.items()}
         errors[name] = {each: squared(packed) for each, packed in found.items()}
         exact = radiance(glossy(model), eye)
