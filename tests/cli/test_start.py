@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-HEAVY = ("torch", "numpy", "trimesh", "embreex", "kornia", "onnx", "PIL")
+HEAVY = ("torch", "numpy", "trimesh", "embreex", "kornia", "onnx", "PIL", "open3d", "matplotlib")
 
 
 def process(*command):
     return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, timeout=120)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["bake"], ["nothing"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["preview", "--help"], ["bake"], ["nothing"]])
 def test_help_and_usage_load_nothing_heavy(arguments):
     code = (
         "import sys\n"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.preview.camera import Camera
@@ -73,9 +74,13 @@ class Drawing:
                 self._reverse.vertices = self.model.vertices
                 self.viewer.update_geometry(self._reverse)
         self._colours, self._positions = colours, positions
+        self.send(colours)
+        return True
+
+    def send(self, colours: Float[Tensor, "V 3"]) -> None:
+        """Hands sRGB colours of the vertices to Open3D, which draws them with the next frame."""
         self.model.vertex_colors = self._vectors(colours)
         self.viewer.update_geometry(self.model)
-        return True
 
     def _look(self, camera: Camera, size: tuple[int, int], near: float, far: float) -> bool:
         width, height = size
