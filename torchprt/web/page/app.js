@@ -2,7 +2,7 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { difference, lambert, unshadowed } from "./modes.js";
 import { listen, TURN } from "./pointer.js";
-import { Model, prepare } from "./runtime.js";
+import { Model } from "./runtime.js";
 import { lowBands } from "./sh.js";
 import { loadMesh, View } from "./view.js";
 
@@ -281,19 +281,18 @@ async function race(viewer, url) {
 async function start() {
   if (!document.createElement("canvas").getContext("webgl2")) throw new Error("this browser shows no WebGL 2");
   if (typeof WebAssembly !== "object") throw new Error("this browser runs no WebAssembly");
-  const runtime = prepare();
-  runtime.catch(() => {}); // told of below, where it is waited for
+  // All at once; what fails is told of where it is waited for.
+  const loading = [loadMesh("mesh.glb"), Model.open("model.onnx")];
+  for (const each of loading) each.catch(() => {});
   const described = await json("scene.json");
   document.title = described.title;
   at("title").textContent = described.title;
   at("subtitle").textContent = described.subtitle;
   at("loading").textContent = `loading ${megabytes(described.download)}`;
   const [mesh, model, compressed, pictures] = await Promise.all([
-    loadMesh("mesh.glb"),
-    Model.open("model.onnx"),
+    ...loading,
     described.compressed ? Model.open("compressed.onnx") : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
-    runtime,
   ]);
   if (mesh.vertices !== described.vertices) {
     throw new Error(`mesh.glb has ${mesh.vertices} vertices where the model shades ${described.vertices}`);

@@ -36,12 +36,6 @@ async function load(name) {
 let wasm;
 let webgpu;
 
-/** The runtime itself, which takes longest to load: call it early. */
-export function prepare() {
-  wasm ??= load("ort.wasm");
-  return wasm;
-}
-
 /** A graph `torchprt export` wrote: `shade(light, rotation, eye)` gives radiance, V x 3. */
 export class Model {
   constructor(ort, session, name, size) {
@@ -52,7 +46,8 @@ export class Model {
   }
 
   static async open(url) {
-    const [ort, content] = await Promise.all([prepare(), bytes(url)]);
+    wasm ??= load("ort.wasm");
+    const [ort, content] = await Promise.all([wasm, bytes(url)]);
     return Model.#create(ort, content, "wasm", url);
   }
 
