@@ -159,7 +159,20 @@ class ClusteredMatrix(ViewShader):
         return found.mT.reshape(3, *batch, self.blend.shared.shape[-2], len(found)).movedim(0, -3)
 
     def _glossy_layer(self, light: Tensor, values: Tensor) -> Tensor:
-        radiance = (self.coefficients(light) * values.mT.unsqueeze(-3)).sum(-2)
+        lights, eyes = light.shape[:-2], values.shape[:-2]
+        batch = torch.broadcast_shapes(lights, eyes)
+        found = self.blend(self.blend.sent(lambda signal: _exits(signal, light)))
+        receivers, rows = values.shape[-2:]
+        if math.prod(eyes) == 1:
+            # One product a receiver for all lights: half the time of products and sums.
+            view = values.reshape(receivers, rows).contiguous().unsqueeze(-1)
+            seen = torch.bmm(found.view(receivers, -1, rows), view)
+            radiance = seen.view(receivers, 3, *lights).movedim((0, 1), (-1, -2)).expand(*batch, 3, receivers)
+        else:
+            padded = (1,) * (len(batch) - len(lights)) + lights
+            exits = found.view(receivers, 3, *padded, rows).movedim(1, -2)
+            views = values.movedim(-2, 0).reshape(receivers, *(1,) * (len(batch) - len(eyes)), *eyes, 1, rows)
+            radiance = (exits * views).sum(-1).movedim(0, -1)
         return radiance * self.specular.T
 
 
