@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from torchprt.compress import clustered_pca
+from torchprt.compress.passes import Passes
 from torchprt.compress.refine import grow, hand_out, missed_least, surplus
 from torchprt.compress.subspaces import Subspaces, fit, runners_up
 
@@ -81,7 +82,7 @@ def test_there_are_never_more_clusters_to_begin_with_than_points():
 def test_growing_ends_with_the_clusters_that_were_asked_for(clusters):
     data = signal()
     start = surplus(len(data), clusters)
-    label = grow(data, torch.arange(len(data)) % start, clusters, 2, 2, 1)
+    label = grow(data, torch.arange(len(data)) % start, clusters, 2, 2, Passes())
     assert label.unique().tolist() == list(range(clusters))
 
 

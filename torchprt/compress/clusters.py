@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from torchprt.compress.passes import Passes
 from torchprt.compress.signal import check, normalised
 from torchprt.compress.subspaces import Subspaces, classify, fill_empty, means, one_thread
 
@@ -31,26 +32,28 @@ def vector_quantise(
     Raises InputError if there are fewer points than clusters, no cluster, or a number that is not finite.
     Source: Linde, Buzo and Gray 1980; Arthur and Vassilvitskii 2007; Sloan et al. 2003, section 4.1.
     """
-    with torch.no_grad(), one_thread() as threads:
+    passes = Passes()
+    with torch.no_grad(), one_thread():
         check(data, clusters, iterations)
-        label = quantise(normalised(data), clusters, seed, iterations, threads)
+        label = quantise(normalised(data), clusters, seed, iterations, passes)
         return label, means(data, label, clusters).to(data.dtype)
 
 
-def quantise(points: Tensor, clusters: int, seed: int, iterations: int, threads: int) -> Tensor:
+def quantise(points: Tensor, clusters: int, seed: int, iterations: int, passes: Passes) -> Tensor:
     """The clusters `[V]` of points that are checked, centred and of unit size."""
     if clusters == 1:
         return torch.zeros(len(points), dtype=torch.int64, device=points.device)
-    generator = torch.Generator().manual_seed(seed)
-    label = None
-    centres = spread(points, clusters, generator).double()
-    for _ in range(iterations):
-        former = label
-        label, error = classify(points, _points(centres), threads)
-        label = fill_empty(label, error, clusters)
-        if former is not None and torch.equal(label, former):
-            break
-        centres = means(points, label, clusters)
+    with passes.stage("clusters", iterations, len(points)) as stage:
+        label = stage.kept.get("label")
+        while stage.done < iterations:
+            former = label
+            if former is None:
+                centres = spread(points, clusters, torch.Generator().manual_seed(seed)).double()
+            else:
+                centres = means(points, former, clusters)
+            label, error = classify(points, _points(centres), passes.threads, stage.advance)
+            label = fill_empty(label, error, clusters)
+            stage.keep({"label": label}, last=former is not None and torch.equal(label, former))
     assert label is not None
     return label
 

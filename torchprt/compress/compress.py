@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, overload
 
 from torch import Tensor
 
+from torchprt.compress.checkpoint import Checkpoint
+from torchprt.compress.passes import Passes
 from torchprt.compress.search import Sizes, candidates, corrected
-from torchprt.compress.transfer import Method, check_kind, encode, other_bytes, signal_of
+from torchprt.compress.transfer import Method, check_kind, encode, other_bytes, signal_of, stored_signal
 from torchprt.errors import InputError
+from torchprt.progress import Report, Silent
 from torchprt.transfer import (
     BakedTransfer,
     ClusteredFactoredTransfer,
@@ -24,6 +28,7 @@ from torchprt.transfer import (
     Transfer,
     VisibilityTransfer,
 )
+from torchprt.version import VERSION
 
 # Encodings until an error is met: each corrects what the next is expected to have.
 _TRIES = 5
@@ -55,6 +60,9 @@ def compress(
     iterations: int = 1,
     seed: int = 0,
     importance: Tensor | None = None,
+    report: Report | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    keep: bool = False,
 ) -> CompressedTransfer:
     """Clustered PCA of what a bake stores of its receivers: vectors, matrices or visibility, by `clustered_pca`.
 
@@ -71,6 +79,8 @@ def compress(
     - `coherence`: error, as a part of the squared error, that may be added to lower the overdraw of the mesh.
     - `importance`: over the S numbers of one receiver, `[S]` or `[S, S]`, as for `clustered_pca`; `error` and what is
       stated are not weighed by it.
+    - `report`, `checkpoint`: as for `clustered_pca`; the search for an error or a number of bytes goes on too. The file
+      is removed when done unless it is to `keep` it (until the result is safe on disk, say).
     The result states what it cost: `squared_error` of every receiver and `compression_error`, relative RMS.
 
     Raises InputError as `clustered_pca`, if the transfer has no receivers or is of a kind without a compressed form, if
@@ -84,27 +94,38 @@ def compress(
         raise InputError(f"coherence is {coherence}: it must be 0 or more, as 0.05 for 5 % more error")
     if error is not None and bytes is not None:
         raise InputError("error and bytes are both given: give one, the other is what comes of it")
+    for name, value in (("clusters", clusters), ("components", components), ("shared", shared)):
+        if value is not None and not (error is None and bytes is None):
+            raise InputError(f"{name} is given, but is what is sought for an error or a number of bytes: leave it out")
     options: dict[str, Any] = {
         "method": method,
         "bits": bits,
         "coherence": float(coherence),
         "iterations": iterations,
         "seed": seed,
-        "importance": importance,
     }
-    if error is None and bytes is None:
+    sizes = {"clusters": clusters, "components": components, "shared": shared, "error": error, "bytes": bytes}
+    tensors = [stored_signal(whole), *([] if importance is None else [importance])]
+    with Checkpoint(checkpoint, tensors, options | sizes | {"version": VERSION}, keep=keep) as store:
+        options |= {"importance": importance, "passes": Passes(report or Silent(), store)}
+        if error is not None or bytes is not None:
+            return _sought(whole, error, bytes, options)
         clusters = (1 if method == "pca" else 256) if clusters is None else clusters
         components = (0 if method == "vq" else 8) if components is None else components
         return encode(whole, clusters, components, shared=shared or 0, **options)
-    for name, value in (("clusters", clusters), ("components", components), ("shared", shared)):
-        if value is not None:
-            raise InputError(f"{name} is given, but is what is sought for an error or a number of bytes: leave it out")
-    sizes = candidates(signal_of(whole), method=method, bits=bits, seed=seed, importance=importance)
-    kept = other_bytes(whole)
+
+
+def _sought(
+    transfer: BakedTransfer, error: float | None, bytes: int | None, options: dict[str, Any]
+) -> CompressedTransfer:
+    """The sizes that meet an error or a number of bytes, one of which is given."""
+    needed = {name: options[name] for name in ("method", "bits", "seed", "importance", "passes")}
+    sizes = candidates(signal_of(transfer), **needed)
+    kept = other_bytes(transfer)
     if bytes is not None:
-        return _within(whole, sizes, bytes, kept, options)
+        return _within(transfer, sizes, bytes, kept, options)
     assert error is not None
-    return _to(whole, sizes, float(error), whole.bytes - kept, options)
+    return _to(transfer, sizes, float(error), transfer.bytes - kept, options)
 
 
 def _within(

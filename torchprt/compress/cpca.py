@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,12 +10,16 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from torchprt.compress.checkpoint import Checkpoint
 from torchprt.compress.clusters import PASSES, quantise
 from torchprt.compress.importance import root_of, weighed
+from torchprt.compress.passes import Passes
 from torchprt.compress.refine import adapt, grow, surplus
 from torchprt.compress.signal import check, normalised
-from torchprt.compress.subspaces import Subspaces, fit, groups, one_thread, pieces
+from torchprt.compress.subspaces import Advance, Subspaces, fit, groups, one_thread, pieces, silent
 from torchprt.errors import InputError
+from torchprt.progress import Report, Silent
+from torchprt.version import VERSION
 
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 # Passes of vector quantisation where others follow.
@@ -103,6 +108,8 @@ def clustered_pca(
     iterations: int = 1,
     seed: int = 0,
     importance: Tensor | None = None,
+    report: Report | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
 ) -> ClusteredPca:
     """Every point of `data` as a cluster and `components` weights.
 
@@ -118,32 +125,74 @@ def clustered_pca(
     `d @ importance @ d`. It says how much a coefficient is expected to matter, as the second moments of the light, and
     must be positive (definite): what never matters would be lost.
 
+    `report` is told of every stage in points: so many passes over all of them, or fewer if they settle before.
+    `checkpoint`: a file that keeps the clusters after a pass, at most every ten seconds and on Ctrl-C; the same call
+    goes on from there, to the same bits, and removes it when done. One of other data or parameters is not used, with a
+    `CheckpointWarning`.
+
     Signals of more than 128 numbers are clustered in their 128 principal axes; means and PCA vectors are then fitted
     in full. Up to that width "adaptive" is never worse than "iterative" from the same seed. Means, Gram matrices and
     eigenvectors are computed in float64, the rest in the dtype of `data`. Same seed, same bits, however many threads
     torch has.
 
     Raises InputError if there are more clusters than points, fewer than 0 or more than S components, a number that is
-    not finite, or an importance that is not positive.
+    not finite, an importance that is not positive, or a checkpoint that is another file or cannot be written.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3.3 and 4.
     """
+    parameters: dict[str, object] = {
+        "clusters": clusters,
+        "components": components,
+        "method": method,
+        "iterations": iterations,
+        "seed": seed,
+        "version": VERSION,
+    }
+    with Checkpoint(checkpoint, [data, *([] if importance is None else [importance])], parameters) as store:
+        passes = Passes(report or Silent(), store)
+        return pack(data, clusters, components, method, iterations, seed, importance, passes)
+
+
+def pack(
+    data: Tensor,
+    clusters: int,
+    components: int,
+    method: str,
+    iterations: int,
+    seed: int,
+    importance: Tensor | None,
+    passes: Passes,
+) -> ClusteredPca:
+    """`clustered_pca`, its passes told and kept as `passes` says."""
     _check(data, clusters, components, method)
     check(data, clusters, iterations)
-    with torch.no_grad(), one_thread() as threads:
+    with torch.no_grad(), one_thread():
         root = None if importance is None else root_of(importance, data)
         metric = data if root is None else weighed(data, root)
-        points = normalised(metric)
-        refined = clusters > 1 and components > 0 and method in ("iterative", "adaptive")
-        started = surplus(len(points), clusters) if refined else clusters
-        label = quantise(points, started, seed, _START if refined else PASSES, threads)
-        counts = torch.full((clusters,), components, device=label.device)
-        if refined:
-            label = grow(points, label, clusters, min(components, points.shape[1]), iterations, threads)
-            if method == "adaptive":
-                label, counts = adapt(points, label, clusters, components, 12 * iterations, threads)
-        spaces = fit(metric, label, clusters, int(counts.max()))
-        spaces.counts = counts
-        return project(data, label, spaces, root)
+        found = passes.result()
+        if not found:
+            label, counts = _clusters(normalised(metric), clusters, components, method, iterations, seed, passes)
+            found = {"label": label, "counts": counts}
+            passes.finish(**found)
+        label, counts = found["label"], found["counts"]
+        with passes.stage("weights", 2, len(data)) as stage:
+            spaces = fit(metric, label, clusters, int(counts.max()), stage.advance)
+            spaces.counts = counts
+            return project(data, label, spaces, root, stage.advance)
+
+
+def _clusters(
+    points: Tensor, clusters: int, components: int, method: str, iterations: int, seed: int, passes: Passes
+) -> tuple[Tensor, Tensor]:
+    """Labels `[V]` and numbers of PCA vectors `[K]`, from all passes."""
+    refined = clusters > 1 and components > 0 and method in ("iterative", "adaptive")
+    started = surplus(len(points), clusters) if refined else clusters
+    label = quantise(points, started, seed, _START if refined else PASSES, passes)
+    counts = torch.full((clusters,), components, device=label.device)
+    if refined:
+        label = grow(points, label, clusters, min(components, points.shape[1]), iterations, passes)
+        if method == "adaptive":
+            label, counts = adapt(points, label, clusters, components, 12 * iterations, passes)
+    return label, counts
 
 
 def _check(data: Tensor, clusters: int, components: int, method: str) -> None:
@@ -161,7 +210,9 @@ def _check(data: Tensor, clusters: int, components: int, method: str) -> None:
         raise InputError(f"clusters is {clusters}: plain PCA has one, pass 1 or another method")
 
 
-def project(data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None = None) -> ClusteredPca:
+def project(
+    data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None = None, advance: Advance = silent
+) -> ClusteredPca:
     """Weights and error of every point; representatives back from under the importance."""
     clusters, rows, width = spaces.basis.shape
     kept = torch.arange(rows, device=label.device) < spaces.counts[:, None]
@@ -182,5 +233,6 @@ def project(data: Tensor, label: Tensor, spaces: Subspaces, root: Tensor | None 
             residual = residual if root is None else residual @ root
             weights[some[of]] = found[of]
             error[some[of]] = residual.square().sum(2)[of]
+            advance(int(of.sum()))
     offsets = torch.cat([spaces.counts.new_zeros(1), spaces.counts.cumsum(0)])
     return ClusteredPca(label, mean, basis[kept], offsets, weights, error)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from torchprt.compress.subspaces import Subspaces, classify, fill_empty, fit, runners_up
+from torchprt.compress.passes import Passes, Stage
+from torchprt.compress.subspaces import Advance, Subspaces, classify, fill_empty, fit, runners_up, silent
 
 # Clusters to begin with, in multiples of those to end with; those missed least are dropped in so many steps, with so
 # many passes after each, and at the end up to so many times the passes that a component takes.
@@ -24,49 +26,100 @@ def surplus(points: int, clusters: int) -> int:
     return min(points, _SURPLUS * clusters)
 
 
-def grow(points: Tensor, label: Tensor, clusters: int, components: int, iterations: int, threads: int) -> Tensor:
+@dataclass(frozen=True)
+class Fitted:
+    """Points in clusters and, once it is asked for, the subspace of `rows` dimensions of each."""
+
+    points: Tensor
+    label: Tensor
+    clusters: int
+    rows: int
+
+    @cached_property
+    def spaces(self) -> Subspaces:
+        return fit(self.points, self.label, self.clusters, self.rows)
+
+    def nearest(self, spaces: Subspaces, passes: Passes, stage: Stage) -> Fitted:
+        """Every point in the cluster of the nearest of `spaces`."""
+        label, error = classify(self.points, spaces, passes.threads, stage.advance)
+        clusters = len(spaces.mean)
+        return replace(self, label=fill_empty(label, error, clusters), clusters=clusters)
+
+
+def grow(points: Tensor, label: Tensor, clusters: int, components: int, iterations: int, passes: Passes) -> Tensor:
     """Labels after passes of classification and PCA, from those of vector quantisation into `surplus` clusters.
 
     With 1, 2, ... `components` (Kambhatla and Leen 1997; Sloan et al. 2003, section 4.2), which avoids bad local
     minima; then with fewer and fewer clusters, until there are `clusters`: those are dropped whose points lose least
     without them, so that clusters end up where error is, which passes alone do not bring about.
     """
-    count = surplus(len(points), clusters)
-    spaces = fit(points, label, count, components)
-    for kept in range(1, components + 1):
-        for _ in range(iterations):
-            spaces.counts = torch.full_like(spaces.counts, kept)
-            label, spaces = _pass(points, spaces, threads)
-    step = -(-(count - clusters) // _STEPS)
-    while len(spaces.mean) > clusters:
-        spaces = _without(spaces, missed_least(points, spaces, min(step, len(spaces.mean) - clusters), threads))
-        for _ in range(_STEP_PASSES):
-            label, spaces = _pass(points, spaces, threads)
-    best, least = label, spaces.error()
-    for _ in range(_LAST * iterations):
-        former = spaces.error()
-        label, spaces = _pass(points, spaces, threads)
-        if spaces.error() < least:
-            best, least = label, spaces.error()
-        if former - spaces.error() <= _SETTLED * former:
-            break
+    fitted = Fitted(points, label, surplus(len(points), clusters), components)
+    fitted = _with_components(fitted, iterations, passes)
+    fitted = _without_surplus(fitted, clusters, passes)
+    return _settled(fitted, iterations, passes)
+
+
+def _with_components(fitted: Fitted, iterations: int, passes: Passes) -> Fitted:
+    planned = fitted.rows * iterations
+    with passes.stage("growing", planned, len(fitted.points)) as stage:
+        fitted = replace(fitted, label=stage.kept["label"]) if stage.kept else fitted
+        while stage.done < planned:
+            counts = torch.full_like(fitted.spaces.counts, stage.done // iterations + 1)
+            fitted = fitted.nearest(replace(fitted.spaces, counts=counts), passes, stage)
+            stage.keep({"label": fitted.label})
+    return fitted
+
+
+def _without_surplus(fitted: Fitted, clusters: int, passes: Passes) -> Fitted:
+    step = -(-(fitted.clusters - clusters) // _STEPS)
+    # One to see which are missed least, then those of the rest.
+    round_passes = 1 + _STEP_PASSES
+    planned = -(-(fitted.clusters - clusters) // max(1, step)) * round_passes
+    with passes.stage("dropping", planned, len(fitted.points)) as stage:
+        if stage.kept:
+            fitted = replace(fitted, label=stage.kept["label"], clusters=int(stage.kept["clusters"]))
+        while fitted.clusters > clusters or stage.done % round_passes:
+            spaces, begun = fitted.spaces, stage.done % round_passes != 0
+            if not begun:
+                most = min(step, fitted.clusters - clusters)
+                spaces = _without(spaces, missed_least(fitted.points, spaces, most, passes.threads, stage.advance))
+            fitted = fitted.nearest(spaces, passes, stage)
+            state = {"label": fitted.label, "clusters": torch.tensor(fitted.clusters)}
+            stage.keep(state, passes=1 if begun else 2)
+    return fitted
+
+
+def _settled(fitted: Fitted, iterations: int, passes: Passes) -> Tensor:
+    """Labels of the best of all passes until they gain next to nothing."""
+    planned = _LAST * iterations
+    with passes.stage("refining", planned, len(fitted.points)) as stage:
+        if stage.kept:
+            fitted = replace(fitted, label=stage.kept["label"])
+            best, least = stage.kept["best"], float(stage.kept["least"])
+        else:
+            best, least = fitted.label, fitted.spaces.error()
+        while stage.done < planned:
+            former = fitted.spaces.error()
+            fitted = fitted.nearest(fitted.spaces, passes, stage)
+            error = fitted.spaces.error()
+            if error < least:
+                best, least = fitted.label, error
+            state = {"label": fitted.label, "best": best, "least": _number(least)}
+            stage.keep(state, last=former - error <= _SETTLED * former)
     return best
 
 
-def _pass(points: Tensor, spaces: Subspaces, threads: int) -> tuple[Tensor, Subspaces]:
-    clusters, rows, _ = spaces.basis.shape
-    label, error = classify(points, spaces, threads)
-    label = fill_empty(label, error, clusters)
-    return label, fit(points, label, clusters, rows)
+def _number(value: float) -> Tensor:
+    return torch.tensor(value, dtype=torch.float64)
 
 
-def missed_least(points: Tensor, spaces: Subspaces, most: int, threads: int) -> Tensor:
+def missed_least(points: Tensor, spaces: Subspaces, most: int, threads: int, advance: Advance = silent) -> Tensor:
     """Up to `most` clusters whose points lose least by going to the second nearest, in that order; at least one.
 
     The one that takes in most of the points of a dropped cluster is not dropped with it.
     """
     clusters = len(spaces.mean)
-    label, other, further = runners_up(points, spaces, threads)
+    label, other, further = runners_up(points, spaces, threads, advance)
     cost = torch.zeros_like(spaces.spread).index_add_(0, label, further.double())
     pairs, count = (label * clusters + other).unique(return_counts=True)
     order = count.argsort(stable=True)
@@ -87,7 +140,7 @@ def _without(spaces: Subspaces, dropped: Tensor) -> Subspaces:
 
 
 def adapt(
-    points: Tensor, label: Tensor, clusters: int, components: int, iterations: int, threads: int
+    points: Tensor, label: Tensor, clusters: int, components: int, iterations: int, passes: Passes
 ) -> tuple[Tensor, Tensor]:
     """Labels and numbers of PCA vectors `[K]` after passes of classification, PCA and handing out.
 
@@ -95,16 +148,22 @@ def adapt(
     Source: Sloan et al. 2003, section 4.3.
     """
     rows = min(points.shape[1], 4 * components + 4)
-    spaces = fit(points, label, clusters, rows)
-    spaces.counts = torch.full_like(spaces.counts, min(components, rows))
-    best, least = (label, spaces.counts), spaces.error()
-    for _ in range(iterations):
-        spaces.counts = hand_out(spaces, components)
-        if spaces.error() < least:
+    fitted = Fitted(points, label, clusters, rows)
+    with passes.stage("adapting", iterations, len(points)) as stage:
+        if stage.kept:
+            fitted = replace(fitted, label=stage.kept["label"])
+            best, least = (stage.kept["best"], stage.kept["counts"]), float(stage.kept["least"])
+        else:
+            spaces = fitted.spaces
+            spaces = replace(spaces, counts=torch.full_like(spaces.counts, min(components, rows)))
             best, least = (label, spaces.counts), spaces.error()
-        label, error = classify(points, spaces, threads)
-        label = fill_empty(label, error, clusters)
-        spaces = fit(points, label, clusters, rows)
+        while stage.done < iterations:
+            spaces = replace(fitted.spaces, counts=hand_out(fitted.spaces, components))
+            error = spaces.error()
+            if error < least:
+                best, least = (fitted.label, spaces.counts), error
+            fitted = fitted.nearest(spaces, passes, stage)
+            stage.keep({"label": fitted.label, "best": best[0], "counts": best[1], "least": _number(least)})
     return best
 
 

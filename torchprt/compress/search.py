@@ -11,9 +11,10 @@ from torch import Tensor
 
 from torchprt.compress.clusters import quantise
 from torchprt.compress.importance import root_of, weighed
+from torchprt.compress.passes import Passes
 from torchprt.compress.shared_axes import moments
 from torchprt.compress.signal import DIMENSIONS, check, normalised
-from torchprt.compress.subspaces import classify, fill_empty, fit, one_thread
+from torchprt.compress.subspaces import Advance, classify, fill_empty, fit, one_thread
 
 # Points that stand for all of them; of more, clusters are as many fewer, so that a cluster has as many points.
 _SAMPLE = 1 << 15
@@ -47,7 +48,9 @@ def stored_bytes(points: int, numbers: int, clusters: int, components: int, shar
     return points * (label + weight * components) + representatives + 4 * (clusters + 1) + ranges
 
 
-def candidates(signal: Tensor, *, method: str, bits: int, seed: int, importance: Tensor | None = None) -> list[Sizes]:
+def candidates(
+    signal: Tensor, *, method: str, bits: int, seed: int, passes: Passes, importance: Tensor | None = None
+) -> list[Sizes]:
     """Every size that is sought among, its error foretold from a sample of points.
 
     `signal [V, S]`. Shared axes are sought where a point has more numbers than there are dimensions clusters are
@@ -57,7 +60,7 @@ def candidates(signal: Tensor, *, method: str, bits: int, seed: int, importance:
     points, numbers = signal.shape
     sample = signal[:: -(-points // _SAMPLE)]
     found: list[Sizes] = []
-    with torch.no_grad(), one_thread() as threads:
+    with torch.no_grad(), one_thread():
         root = None if importance is None else root_of(importance, signal)
         metric = sample if root is None else weighed(sample, root)
         spectrum = torch.linalg.eigvalsh(moments(metric)).flip(0).clamp(min=0)
@@ -65,8 +68,9 @@ def candidates(signal: Tensor, *, method: str, bits: int, seed: int, importance:
         left = (1 - spectrum.cumsum(0) / power).clamp(min=0).tolist()
         shares = [0, *(count for count in _SHARED if count < numbers)] if numbers > DIMENSIONS else [0]
         data = normalised(metric)
-        for clusters in _clusters(points, method):
-            curve = _curve(data, metric, max(1, round(clusters * len(sample) / points)), method, bits, seed, threads)
+        tried = list(_clusters(points, method))
+        curves = _curves(data, metric, tried, len(sample) / points, method, bits, seed, passes)
+        for clusters, curve in zip(tried, curves, strict=True):
             most = 0 if method == "vq" else min(len(curve) - 1, numbers)
             for components, squared in enumerate((curve[: most + 1] / power).tolist()):
                 for shared in shares:
@@ -84,14 +88,38 @@ def _clusters(points: int, method: str) -> Iterator[int]:
         clusters *= 2
 
 
-def _curve(data: Tensor, metric: Tensor, clusters: int, method: str, bits: int, seed: int, threads: int) -> Tensor:
+def _curves(
+    data: Tensor, metric: Tensor, tried: list[int], part: float, method: str, bits: int, seed: int, passes: Passes
+) -> list[Tensor]:
+    """The curve of every number of clusters that is `tried`, from a `part` of all points."""
+    each = _START + len(_PASSES)
+    with passes.stage("sampling", each * len(tried), len(data)) as stage:
+        curves = stage.kept
+        while len(curves) < len(tried):
+            clusters = tried[len(curves)]
+            fewer = max(1, round(clusters * part))
+            curves[str(clusters)] = _curve(data, metric, fewer, method, bits, seed, passes.within(stage), stage.advance)
+            stage.keep(curves, passes=each)
+    return [curves[str(clusters)] for clusters in tried]
+
+
+def _curve(
+    data: Tensor,
+    metric: Tensor,
+    clusters: int,
+    method: str,
+    bits: int,
+    seed: int,
+    passes: Passes,
+    advance: Advance,
+) -> Tensor:
     """Squared error of `metric` with 0, 1, 2, ... components, `[R + 1]`; clusters are sought in `data`."""
     rows = min(metric.shape[1], _MOST_COMPONENTS)
-    label = quantise(data, clusters, seed, _START, threads)
+    label = quantise(data, clusters, seed, _START, passes)
     if clusters > 1 and method in ("iterative", "adaptive"):
         for components in _PASSES:
             spaces = fit(data, label, clusters, min(components, data.shape[1]))
-            label, error = classify(data, spaces, threads)
+            label, error = classify(data, spaces, passes.threads, advance)
             label = fill_empty(label, error, clusters)
     spaces = fit(metric, label, clusters, rows)
     removed = torch.cat([spaces.energy.new_zeros(clusters, 1), spaces.energy.cumsum(1)], 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +18,13 @@ _PIECE = 1 << 13
 _SIMILAR = 0.75
 # Squared singular values below this part of the largest are rounding.
 _ROUNDING = 1e-13
+
+# Told how many more points are done.
+Advance = Callable[[int], None]
+
+
+def silent(points: int) -> None:
+    """Told, and does nothing."""
 
 
 @contextmanager
@@ -93,7 +100,7 @@ def means(data: Tensor, label: Tensor, clusters: int) -> Tensor:
     return total / torch.bincount(label, minlength=clusters).clamp(min=1)[:, None]
 
 
-def fit(data: Tensor, label: Tensor, clusters: int, rows: int) -> Subspaces:
+def fit(data: Tensor, label: Tensor, clusters: int, rows: int, advance: Advance = silent) -> Subspaces:
     """The subspaces of least squared error: mean and `rows` principal axes of every cluster.
 
     From the Gram matrix of the smaller side, as section 4.1 of Sloan et al. 2003, in float64.
@@ -112,6 +119,7 @@ def fit(data: Tensor, label: Tensor, clusters: int, rows: int) -> Subspaces:
                 centred = _centred(data, mean[chosen], some, of)
                 gram.baddbmm_(centred.mT, centred)
         spread[chosen] = gram.diagonal(dim1=1, dim2=2).sum(1)
+        advance(int(real.sum()))
         if rows == 0:
             continue
         values, vectors = torch.linalg.eigh(gram)
@@ -134,22 +142,24 @@ def _centred(data: Tensor, mean: Tensor, points: Tensor, real: Tensor) -> Tensor
     return (data[points].double() - mean[:, None]).mul_(real[:, :, None])
 
 
-def classify(data: Tensor, spaces: Subspaces, threads: int = 1) -> tuple[Tensor, Tensor]:
+def classify(data: Tensor, spaces: Subspaces, threads: int = 1, advance: Advance = silent) -> tuple[Tensor, Tensor]:
     """The subspace nearest to every point, `[V]`, and the squared distance `[V]` to the rounding of `data`."""
-    label, error = _nearest(data, spaces, threads, second=False)
+    label, error = _nearest(data, spaces, threads, advance, second=False)
     return label, error
 
 
-def runners_up(data: Tensor, spaces: Subspaces, threads: int = 1) -> tuple[Tensor, Tensor, Tensor]:
+def runners_up(
+    data: Tensor, spaces: Subspaces, threads: int = 1, advance: Advance = silent
+) -> tuple[Tensor, Tensor, Tensor]:
     """The nearest subspace of every point, the one that is nearest without it, and how much farther that is, squared.
 
     There must be two subspaces.
     """
-    label, error, other, further = _nearest(data, spaces, threads, second=True)
+    label, error, other, further = _nearest(data, spaces, threads, advance, second=True)
     return label, other, (further - error).clamp_(min=0)
 
 
-def _nearest(data: Tensor, spaces: Subspaces, threads: int, second: bool) -> list[Tensor]:
+def _nearest(data: Tensor, spaces: Subspaces, threads: int, advance: Advance, *, second: bool) -> list[Tensor]:
     """Nearest and squared distance; and of the second nearest the same, if asked for.
 
     |x - x0|^2 - sum_i ((x - x0) . x_i)^2 of all clusters is one product with `[x0 | x_1 | x_2 ...]`, components
@@ -183,8 +193,16 @@ def _nearest(data: Tensor, spaces: Subspaces, threads: int, second: bool) -> lis
             found.append(nearest)
         return [torch.cat(parts) for parts in zip(*found, strict=True)]
 
+    pieces_found = []
     with ThreadPoolExecutor(threads) as pool:
-        pieces_found = list(pool.map(piece, data.split(_PIECE)))
+        try:
+            for found in pool.map(piece, data.split(_PIECE)):
+                pieces_found.append(found)
+                advance(len(found[0]))
+        except BaseException:
+            # Ctrl-C: what runs is finished, the rest is not begun.
+            pool.shutdown(cancel_futures=True)
+            raise
     return [torch.cat(parts) for parts in zip(*pieces_found, strict=True)]
 
 

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torchprt.compress.coherence import make_coherent
-from torchprt.compress.cpca import ClusteredPca, clustered_pca
+from torchprt.compress.cpca import ClusteredPca, pack
+from torchprt.compress.passes import Passes
 from torchprt.compress.quantise import QuantisedPca, quantise
 from torchprt.compress.shared_axes import shared_axes
 from torchprt.errors import InputError
@@ -56,6 +57,7 @@ def encode(
     iterations: int,
     seed: int,
     importance: Tensor | None,
+    passes: Passes,
 ) -> CompressedTransfer:
     """Clustered transfer of exactly these sizes; see `compress`."""
     signal = signal_of(transfer)
@@ -65,9 +67,8 @@ def encode(
         axes, data = shared_axes(signal, shared, importance)
         # Plain distances in these axes are those of the importance.
         importance = None
-    packed = clustered_pca(
-        data, clusters, components, method=method, iterations=iterations, seed=seed, importance=importance
-    )
+    passes = passes.named(f"{clusters}-{components}-{shared}")
+    packed = pack(data, clusters, components, method, iterations, seed, importance, passes)
     if coherence > 0:
         packed = make_coherent(data, packed, receiver_faces(transfer), budget=coherence, importance=importance)
     stored = packed if bits == 32 else quantise(data, packed, bits=bits, importance=importance)
@@ -137,8 +138,14 @@ def check_kind(transfer: Transfer) -> BakedTransfer:
 
 def other_bytes(transfer: BakedTransfer) -> int:
     """Bytes of what compression leaves as it is: the diffuse layer, tables."""
-    tensor = getattr(transfer, _FORMS[type(transfer)][1])
+    tensor = stored_signal(transfer)
     return transfer.bytes - tensor.numel() * tensor.element_size()
+
+
+def stored_signal(transfer: BakedTransfer) -> Tensor:
+    """What is compressed, as it is stored."""
+    tensor: Tensor = getattr(transfer, _FORMS[type(transfer)][1])
+    return tensor
 
 
 def signal_of(transfer: BakedTransfer) -> Tensor:
