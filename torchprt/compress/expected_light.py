@@ -46,9 +46,10 @@ def light_importance(
 
     The squared error that it weighs is the squared error of exit radiance, the mean over the lights, each scaled to the
     same power, and over how they may be `turned`: "none" as they are, "yaw" about +y, "any" in all ways, which leaves
-    the mean power of every band. The first two are for the very lights that will be used, the last for examples. One channel of transfer meets all three of the light; of three channels each meets its
-    own. S = C M N with `channels` C and, for exit matrices, `rows` M; of the projection "optimal" those are
-    orthonormal, so that the error is that of radiance over the hemisphere.
+    the mean power of every band. The first two are for the very lights that will be used, the last for examples.
+    One channel of transfer meets all three of the light; of three channels each meets its own. S = C M N with
+    `channels` C and, for exit matrices, `rows` M; of the projection "optimal" those are orthonormal, so that the error
+    is that of radiance over the hemisphere.
 
     The mean of the diagonal is 1 before `floor` is added to it: a few lights span few of the dimensions, and what never
     matters would be lost for all others. With a floor the result is positive definite.
