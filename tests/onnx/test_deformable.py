@@ -25,6 +25,11 @@ EPSILON = torch.finfo(torch.float32).eps
 FILES = {
     "frames": ({"order": 4, "lobes": 2}, {"pose": "frames"}),
     "positions": ({"order": 3, "channels": 3, "exact": False, "lobes": 2, "albedo": (1, 3)}, {"pose": "positions"}),
+    "point": ({"kind": random_zonal_factored, "order": 3, "lobes": 1}, {}),
+    "direction": (
+        {"kind": random_zonal_factored, "order": 3, "rows": 1, "lobes": 1, "channels": 3, "glossy": 9, "exact": False},
+        {"eye": "direction"},
+    ),
     "environment": ({"order": 3, "lobes": 1, "albedo": ("V", 1)}, {"source": "environment", "size": 4}),
 }
 
@@ -52,8 +57,9 @@ def written(tmp_path_factory):
 
     config.update("jaxtyping_disable", True)
     folder, made = tmp_path_factory.mktemp("deformable"), {}
-    for name, (lobes, arguments) in FILES.items():
-        transfer = random_zonal(**lobes, fit_error=0.01)
+    for name, (options, arguments) in FILES.items():
+        lobes = dict(options)
+        transfer = lobes.pop("kind", random_zonal)(**lobes, fit_error=0.01)
         path = folder / f"{name}.onnx"
         made[name] = SimpleNamespace(path=path, transfer=transfer, report=export(transfer, path, **arguments))
     config.update("jaxtyping_disable", False)
@@ -71,7 +77,10 @@ def written(tmp_path_factory):
         (random_zonal(1), {"pose": "positions"}, "the transfer has no faces, from which frames are estimated"),
         (random_zonal(0), {}, "the transfer has no vertices"),
         (random_zonal(lobes=0, exact=False), {}, "the transfer has no lobes"),
-        (random_zonal_factored(), {}, "glossy transfer in lobes cannot be exported"),
+        (random_zonal_factored(), {"pose": "frames"}, "eye is a point and pose is frames"),
+        (random_zonal_factored(), {"fix_eye": [1.0, 2.0, 3.0]}, "fix_eye is given, .* 'zonal factored' takes eye"),
+        (random_zonal_factored(), {"exponent": 3.0}, "exponent is given"),
+        (random_zonal_factored(glossy=0), {}, "no receiver is glossy"),
     ],
 )
 def test_refuses_what_cannot_be_exported(tmp_path, transfer, arguments, message):
@@ -117,17 +126,21 @@ def test_the_pose_is_the_third_input_and_has_no_batch(written):
     assert report.inputs == {"light": ("B", 16, 3), "rotation": ("B", 3, 3), "frames": (9, 3, 3)}
     assert written["positions"].report.inputs["positions"] == (9, 3)
     assert list(written["environment"].report.inputs) == ["environment", "rotation", "frames"]
+    assert list(written["point"].report.inputs) == ["light", "rotation", "eye", "positions"]
+    assert list(written["direction"].report.inputs) == ["light", "rotation", "view", "frames"]
     for file in written.values():
         assert file.report.outputs == {"radiance": ("B", 9, 3)}
         assert set(file.report.operators) <= ALLOWED
         assert file.report.parity.passed
-        assert "one pose" in onnx.load(file.path).graph.input[2].doc_string
+        assert "one pose" in onnx.load(file.path).graph.input[-1].doc_string
 
 
 def test_the_file_says_what_it_is(written):
     about = describe(written["positions"].path)
     assert (about["kind"], about["pose"], about["order"], about["fit_error"]) == ("zonal", "positions", 3, 0.01)
     assert describe(written["frames"].path)["pose"] == "frames"
+    about = describe(written["point"].path)
+    assert (about["kind"], about["pose"], about["eye"], about["glossy"]) == ("zonal factored", "positions", "point", 4)
 
 
 # What it computes
@@ -169,6 +182,19 @@ def test_a_collapsed_mesh_has_the_identity_as_in_torch(written):
     for posed in (torch.zeros(9, 3), file.transfer.positions * torch.tensor([1.0, 0.0, 0.0])):
         found = run(file.path, light=light, positions=posed)
         assert same(found, module(light.double(), positions=posed.double()))
+
+
+@pytest.mark.parametrize("name", ["point", "direction"])
+def test_glossy_surfaces_show_each_eye_what_torch_shows_it(written, name):
+    file, light = written[name], lights(3, order=3)
+    module = shader(file.transfer, dtype=torch.float64)
+    seen, pose = list(file.report.inputs)[2:]
+    eyes = 3 * torch.randn(3, 3, generator=torch.Generator().manual_seed(5))
+    for posed in random_poses(module, pose, 3):
+        found = run(file.path, light=light, **{seen: eyes}, **posed)
+        inputs = {seen: eyes.double(), pose: posed[pose].double()}
+        # Factors of random texels change as fast as functions of order 32.
+        assert same(found, module(light.double(), **inputs), 32)
 
 
 def test_environments_are_projected_first(written):

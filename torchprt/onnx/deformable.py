@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchprt.onnx.graph import Source, fold, make_graph
 from torchprt.shade import DeformableShader, DeformedFrames
-from torchprt.transfer import DiffuseTransfer, ZonalTransfer
+from torchprt.transfer import DiffuseTransfer, ZonalFactoredTransfer, ZonalTransfer
 
 Pose = Literal["frames", "positions"]
 
@@ -141,7 +141,7 @@ def leading(l: int, m: int) -> float:
     return value
 
 
-def without_vertices(transfer: ZonalTransfer) -> DiffuseTransfer:
+def without_vertices(transfer: ZonalTransfer | ZonalFactoredTransfer) -> DiffuseTransfer:
     """What tells `make_graph` of the order alone."""
     empty = transfer.positions.new_zeros(0, 3)
     return DiffuseTransfer(

@@ -32,19 +32,24 @@ class EyeGraph(nn.Module):
     def forward(self, eye: Tensor) -> Tensor:
         if self.positions is None:
             # A direction of any length is one; a point this near is none.
-            x, y, z = (_scaled(eye, -1, 0.0).unsqueeze(0) @ self.frames).unbind(0)
+            x, y, z = (scaled(eye, -1, 0.0).unsqueeze(0) @ self.frames).unbind(0)
         else:
-            away = _scaled(eye.unsqueeze(-1) - self.positions, 1, NOTHING)
+            away = scaled(eye.unsqueeze(-1) - self.positions, 1, NOTHING)
             x, y, z = ((away * axis).sum(1) for axis in self.frames.unbind(0))
-        z = z.clamp(min=0)
-        squared = x * x + y * y + z * z
-        found = squared > NOTHING
-        length = torch.sqrt(torch.where(found, squared, 1.0))
-        x, y, z = (torch.where(found, axis / length, pole) for axis, pole in ((x, 0.0), (y, 0.0), (z, 1.0)))
-        return torch.stack([x, y, z])
+        return above_horizon(x, y, z)
 
 
-def _scaled(direction: Tensor, dimension: int, nothing: float) -> Tensor:
+def above_horizon(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """Unit directions `[3, ...]`, moved to the horizon where they are below it; the pole where there is none."""
+    z = z.clamp(min=0)
+    squared = x * x + y * y + z * z
+    found = squared > NOTHING
+    length = torch.sqrt(torch.where(found, squared, 1.0))
+    x, y, z = (torch.where(found, axis / length, pole) for axis, pole in ((x, 0.0), (y, 0.0), (z, 1.0)))
+    return torch.stack([x, y, z])
+
+
+def scaled(direction: Tensor, dimension: int, nothing: float) -> Tensor:
     """Divided by the largest component, as squares of the very long and the very short leave the range; or zero."""
     x, y, z = direction.abs().split(1, dimension)
     largest = torch.maximum(torch.maximum(x, y), z)

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from torchprt.shade import ViewShader
-
 FAR = 1e4
 
 
-def random_eyes(shader: ViewShader, name: str, count: int, generator: torch.Generator) -> Tensor:
+@runtime_checkable
+class Receivers(Protocol):
+    """Glossy receivers `[G]`, as a `ViewShader` holds them: `points [3, G]`, local frames `[3, 3, G]`."""
+
+    points: Tensor
+    frames: Tensor
+    glossy: Tensor
+
+
+def random_eyes(shader: Receivers, name: str, count: int, generator: torch.Generator) -> Tensor:
     """Float32 eyes `[count, 3]` for the input "eye" or "view", of every kind in turn.
 
     Points: two sizes of the model away, near a glossy receiver (a hundredth of the size), far, in the middle, at a
@@ -43,7 +51,7 @@ def random_eyes(shader: ViewShader, name: str, count: int, generator: torch.Gene
     return torch.stack([kinds[index % len(kinds)][index] for index in range(count)]).float()
 
 
-def conditions(shader: ViewShader, eye: Tensor | None, view: Tensor | None) -> Tensor:
+def conditions(shader: Receivers, eye: Tensor | None, view: Tensor | None) -> Tensor:
     """For each glossy receiver `[G]`, the sine of the angle from straight below to the eye; 1 above the horizon.
 
     `eye [3]` or `view [3]`, float64. Below, rounding of the direction by one unit turns what is seen by one over it.

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.onnx.eyes import conditions, random_eyes
-from torchprt.onnx.poses import random_poses
+from torchprt.onnx.poses import random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.shade import (
@@ -29,9 +29,16 @@ from torchprt.shade import (
     ViewShader,
 )
 
-Module: TypeAlias = DiffuseShader | ViewShader | DeformableShader | EnvironmentShader | FixedLightShader
-Inside: TypeAlias = Module | DeformableFactoredShader
+Module: TypeAlias = (
+    DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader | EnvironmentShader | FixedLightShader
+)
 
+# What shaders take beside the light.
+MORE: dict[type, tuple[tuple[str, ...], ...]] = {
+    ViewShader: (("eye",), ("view",)),
+    DeformableShader: (("frames",), ("positions",)),
+    DeformableFactoredShader: (("eye", "positions"), ("view", "positions"), ("view", "frames")),
+}
 SCALES = (1.0, 1e-6, 1e6)
 HALF_TURNS = ((0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0), (0.0, 0.0, 180.0))
 
@@ -81,8 +88,10 @@ def tolerance(order: int, module: Module | None = None) -> float:
     """
     shader = _shader(module)
     larger = 1.0
-    if isinstance(shader, ViewShader):
-        exits = shader.factors.shape[-1] if isinstance(shader, FactoredShader) else getattr(shader, "output_order", 1)
+    if isinstance(shader, ViewShader | DeformableFactoredShader):
+        exits: int = getattr(shader, "output_order", 1)
+        if isinstance(shader, FactoredShader | DeformableFactoredShader):
+            exits = shader.factors.shape[-1]
         order = max(order, exits)
         if getattr(shader, "projection", None) == "reduced" and exits > 1:
             kept = [index for index in range(exits**2) if index != DISCARDED]
@@ -116,18 +125,20 @@ def compare(
     _check_inputs(path, names, module)
     reference = copy.deepcopy(module).double().eval()
     shader = _shader(reference)
-    if isinstance(shader, ViewShader):
+    if isinstance(shader, ViewShader | DeformableFactoredShader):
         shader.points = shader.points.float().double()
     feeds = _cases(names, reference, shader, seed)
     count = len(next(iter(feeds.values())))
-    poses = random_poses(shader, names[-1], seed) if isinstance(shader, DeformableShader) else [{}]
+    poses: list[dict[str, Tensor]] = [{}]
+    if isinstance(shader, DeformableShader | DeformableFactoredShader):
+        poses = random_poses(shader, names[-1], seed)
     rms = largest = 0.0
     for pose in poses:
         with torch.no_grad():
             # One at a time: every light is as large as the scene in float64.
             cases = [{name: value[index] for name, value in feeds.items()} for index in range(count)]
             wanted = [_shade(reference, case | pose) for case in cases]
-            weights = [_weights(shader, case) for case in cases]
+            weights = [_weights(shader, case | pose) for case in cases]
         still = {name: value.numpy() for name, value in pose.items()}
         for batch in batches:
             for start in range(0, count, batch):
@@ -155,22 +166,23 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
     lights = [] if isinstance(module, FixedLightShader) else ["light", "rotation"]
     if isinstance(module, EnvironmentShader):
         lights[0] = "environment"
-    last = {ViewShader: ("eye", "view"), DeformableShader: ("frames", "positions")}
-    known = [[*lights, name] for kind, pair in last.items() if isinstance(_shader(module), kind) for name in pair]
-    known = known or [lights]
+    known = [lights]
+    for kind, more in MORE.items():
+        if isinstance(_shader(module), kind):
+            known = [[*lights, *names] for names in more]
     if names not in known:
         taken = " or ".join(", ".join(inputs) for inputs in known)
         raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
 
 
-def _shader(module: Module | None) -> Inside | None:
+def _shader(module: Module | None) -> Module | None:
     """The shader of transfer inside."""
     return module.shader if isinstance(module, EnvironmentShader | FixedLightShader) else module
 
 
 def _order(module: Module) -> int:
     shader = _shader(module)
-    assert isinstance(shader, DiffuseShader | ViewShader | DeformableShader)
+    assert isinstance(shader, DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader)
     return shader.order
 
 
@@ -181,16 +193,17 @@ def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:
     return module(*lights, **wide)
 
 
-def _weights(shader: Inside | None, case: dict[str, Tensor]) -> Tensor:
+def _weights(shader: Module | None, case: dict[str, Tensor]) -> Tensor:
     """What the difference of each receiver counts, `[V, 1]` or one for all."""
-    if not isinstance(shader, ViewShader):
+    if not isinstance(shader, ViewShader | DeformableFactoredShader):
         return torch.ones(1, 1, dtype=torch.float64)
     eye, view = (case[name].double() if name in case else None for name in ("eye", "view"))
     weights = torch.ones(shader.vertices, dtype=torch.float64)
-    return weights.index_copy(0, shader.glossy, conditions(shader, eye, view)).unsqueeze(-1)
+    seen = conditions(receivers(shader, case), eye, view)
+    return weights.index_copy(0, shader.glossy, seen).unsqueeze(-1)
 
 
-def _cases(names: list[str], module: Module, shader: Inside | None, seed: int) -> dict[str, Tensor]:
+def _cases(names: list[str], module: Module, shader: Module | None, seed: int) -> dict[str, Tensor]:
     """Every scale under every rotation: 24 of each input that is named, in float32."""
     generator = torch.Generator().manual_seed(seed)
     degrees = torch.cat([torch.tensor(HALF_TURNS), 360 * torch.rand(4, 3, generator=generator)])
@@ -209,8 +222,9 @@ def _cases(names: list[str], module: Module, shader: Inside | None, seed: int) -
         cases["light"] = lights * scales.reshape(-1, 1, 1)
     if "rotation" in names:
         cases["rotation"] = rotations
-    if isinstance(shader, ViewShader):
-        cases[names[-1]] = random_eyes(shader, names[-1], count, generator)
+    if isinstance(shader, ViewShader | DeformableFactoredShader):
+        name = next(name for name in names if name in ("eye", "view"))
+        cases[name] = random_eyes(receivers(shader, {}), name, count, generator)
     return cases
 
 

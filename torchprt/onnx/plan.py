@@ -12,11 +12,13 @@ from torch import Tensor, nn
 from torchprt.errors import InputError
 from torchprt.onnx.clustered import BLOCK, ClusteredGraph
 from torchprt.onnx.deformable import DeformableGraph, Pose
+from torchprt.onnx.deformable_glossy import DeformableGlossyGraph
 from torchprt.onnx.eye import Eye
 from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph
 from torchprt.onnx.graph import Source, make_graph
 from torchprt.onnx.parity import Module
 from torchprt.shade import (
+    DeformableFactoredShader,
     DeformableShader,
     DiffuseShader,
     EnvironmentShader,
@@ -87,9 +89,7 @@ def plan(
     inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
     about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
-    if isinstance(transfer, ZonalFactoredTransfer):
-        raise InputError("glossy transfer in lobes cannot be exported: export the diffuse kind, or shade it in torch")
-    if pose is not None and not isinstance(transfer, ZonalTransfer):
+    if pose is not None and not isinstance(transfer, ZonalTransfer | ZonalFactoredTransfer):
         raise InputError(f"pose is given, but transfer of kind '{transfer.kind}' does not deform: omit it")
     if isinstance(transfer, DiffuseTransfer | ClusteredTransfer | ZonalTransfer):
         given = {
@@ -102,7 +102,7 @@ def plan(
             if value is not None:
                 raise InputError(f"{name} is given, but diffuse transfer has neither eye nor lobe: omit it")
         if isinstance(transfer, ZonalTransfer):
-            return _posed(transfer, inputs, about, source, size, pose or "frames", texels)
+            return _posed(transfer, inputs, about, source, size, _pose(transfer, pose or "frames"), texels)
         if isinstance(transfer, ClusteredTransfer):
             stored = _representatives(transfer) + transfer.albedo.numel()
         else:
@@ -119,6 +119,12 @@ def plan(
             ),
             lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
         )
+    if isinstance(transfer, ZonalFactoredTransfer):
+        for name, value in {"fix_eye": fix_eye, "fix_light": fix_light, "exponent": exponent}.items():
+            if value is not None:
+                raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' takes eye, light and pose")
+        chosen = _pose(transfer, pose or ("positions" if eye == "point" else "frames"))
+        return _posed_gloss(transfer, inputs, about, source, size, eye, chosen, texels)
     about |= {"eye": eye, "fixed": None}
     if isinstance(transfer, IncidentTransfer | ClusteredIncidentTransfer):
         if exponent is None:
@@ -188,18 +194,10 @@ def _posed(
     texels: int,
 ) -> Plan:
     """The plan of lobes that turn with the surface."""
-    if pose not in ("frames", "positions"):
-        raise InputError(f"pose '{pose}' is unknown: use 'frames' or 'positions'")
-    if pose == "positions" and not len(transfer.faces):
-        raise InputError("the transfer has no faces, from which frames are estimated: use pose='frames'")
-    if not transfer.lobes and not transfer.exact.shape[1]:
-        raise InputError("the transfer has no lobes: there is nothing to export")
-    estimate = ESTIMATE * transfer.vertices if pose == "positions" else 0
-    stored = transfer.axis.numel() + transfer.coefficients.numel() + transfer.exact.numel()
-    _check_weights(stored + _apart(transfer.albedo, transfer.channels) + estimate + texels)
-    shape = (transfer.vertices, 3, 3) if pose == "frames" else (transfer.vertices, 3)
+    stored = transfer.bytes // transfer.axis.element_size() + _apart(transfer.albedo, transfer.channels) + texels
+    _check_weights(stored + (ESTIMATE * transfer.vertices if pose == "positions" else 0))
     return Plan(
-        inputs | {pose: shape},
+        inputs | {pose: _shape(transfer, pose)},
         transfer.vertices,
         about | {"pose": pose},
         lambda: DeformableGraph(shader(transfer, dtype=torch.float32), transfer, source, size, pose),
@@ -208,13 +206,61 @@ def _posed(
     )
 
 
+def _posed_gloss(
+    transfer: ZonalFactoredTransfer,
+    inputs: dict[str, tuple[int, ...]],
+    about: dict[str, Any],
+    source: Source,
+    size: int,
+    eye: Eye,
+    pose: Pose,
+    texels: int,
+) -> Plan:
+    """The plan of glossy lobes that turn with the surface."""
+    if pose == "frames" and eye == "point":
+        raise InputError(
+            "eye is a point and pose is frames, which do not say where the vertices are: give pose='positions', or "
+            "eye='direction'"
+        )
+    if not len(transfer.glossy):
+        raise InputError("no receiver is glossy: fit lobes to the diffuse transfer alone")
+    stored = transfer.bytes // transfer.axis.element_size() + 12 * len(transfer.glossy) + 6 * transfer.vertices + texels
+    _check_weights(stored + (ESTIMATE * transfer.vertices if pose == "positions" else 0))
+    name = "eye" if eye == "point" else "view"
+    return Plan(
+        inputs | {name: (3,), pose: _shape(transfer, pose)},
+        transfer.vertices,
+        about | {"eye": eye, "fixed": None, "pose": pose},
+        lambda: DeformableGlossyGraph(shader(transfer, dtype=torch.float32), transfer, source, size, eye, pose),
+        lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
+        single=(pose,),
+    )
+
+
+def _pose(transfer: ZonalTransfer | ZonalFactoredTransfer, pose: Pose) -> Pose:
+    """`pose`; InputError if it is unknown, cannot be estimated, or there is nothing that it turns."""
+    if pose not in ("frames", "positions"):
+        raise InputError(f"pose '{pose}' is unknown: use 'frames' or 'positions'")
+    if pose == "positions" and not len(transfer.faces):
+        raise InputError("the transfer has no faces, from which frames are estimated: use pose='frames'")
+    if not transfer.lobes and not transfer.exact.shape[-2]:
+        raise InputError("the transfer has no lobes: there is nothing to export")
+    return pose
+
+
+def _shape(transfer: ZonalTransfer | ZonalFactoredTransfer, pose: Pose) -> tuple[int, ...]:
+    return (transfer.vertices, 3, 3) if pose == "frames" else (transfer.vertices, 3)
+
+
 def _shader(transfer: ViewTransfer, dtype: torch.dtype, exponent: Exponent) -> ViewShader:
     module = shader(transfer, dtype=dtype, exponent=exponent)
     assert isinstance(module, ViewShader)
     return module
 
 
-def _from(source: Source, size: int, module: ViewShader | DiffuseShader | DeformableShader) -> Module:
+def _from(
+    source: Source, size: int, module: ViewShader | DiffuseShader | DeformableShader | DeformableFactoredShader
+) -> Module:
     return EnvironmentShader(module, size) if source == "environment" else module
 
 

@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
+from torchprt.onnx.eyes import Receivers
 from torchprt.sh import yaw_pitch_roll
-from torchprt.shade import DeformableShader
+from torchprt.shade import DeformableFactoredShader, DeformableShader, ViewShader
 
 
-def random_poses(shader: DeformableShader, name: str, seed: int) -> list[dict[str, Tensor]]:
+@dataclass
+class Posed:
+    """`Receivers` in a pose."""
+
+    points: Tensor
+    frames: Tensor
+    glossy: Tensor
+
+
+def receivers(shader: ViewShader | DeformableFactoredShader, pose: Mapping[str, Tensor]) -> Receivers:
+    """The glossy receivers of a shader, where "positions" or "frames" in `pose` have put them."""
+    if isinstance(shader, ViewShader):
+        return shader
+    points, local, rows = shader.points, shader.local, shader.glossy
+    frames = pose.get("frames")
+    if "positions" in pose:
+        points = pose["positions"].double()[rows].T
+        frames = shader.estimate(pose["positions"].double())
+    if frames is not None:
+        turn = frames.double()[rows]
+        local = torch.einsum("gij,kjg->kig", turn, local.double())
+    return Posed(points, local, rows)
+
+
+def random_poses(shader: DeformableShader | DeformableFactoredShader, name: str, seed: int) -> list[dict[str, Tensor]]:
     """Three poses in float32 for the input "frames" or "positions".
 
     Frames: the identity, half turns about all axes in turn, and a random rotation for every vertex. Positions: the
