@@ -120,8 +120,10 @@ def _sought(
 ) -> CompressedTransfer:
     """The sizes that meet an error or a number of bytes, one of which is given."""
     needed = {name: options[name] for name in ("method", "bits", "seed", "importance", "passes")}
-    sizes = candidates(signal_of(transfer), **needed)
     kept = other_bytes(transfer)
+    # An error is seldom worth half of the bytes.
+    limit = (transfer.bytes - kept) // 2 if bytes is None else bytes - kept
+    sizes = candidates(signal_of(transfer), limit, **needed)
     if bytes is not None:
         return _within(transfer, sizes, bytes, kept, options)
     assert error is not None
@@ -167,9 +169,8 @@ def _to(
             fitting = [k for k in fitting if sizes[k].bytes < 0.97 * found.bytes]
         elif not fitting:
             # The least error there is, as the last word on what can be met.
-            fitting = sorted((k for k in range(len(sizes)) if sizes[k] not in tried), key=lambda k: expected[k].error)[
-                :1
-            ]
+            others = [k for k in range(len(sizes)) if sizes[k] not in tried]
+            fitting = others and [min(others, key=lambda k: expected[k].error)]
         if not fitting:
             break
         k = min(fitting, key=lambda k: sizes[k].bytes)
