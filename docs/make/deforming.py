@@ -19,10 +19,12 @@ from torch import Tensor
 
 from torchprt import light, preview, sh
 from torchprt.bake import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle
+from torchprt.bake.patch import texel_centres
 from torchprt.compress import fit
 from torchprt.measure import Table, relative_rms
 from torchprt.scene import Material, Mesh, Object, Scene, bend, make_mesh, samples, twist
-from torchprt.shade import SkinnedMesh, deformed_frames, lay, shader
+from torchprt.shade import SkinnedMesh, deformed_frames, lay, sample, shader, surface_frames
+from torchprt.shade.lobes import lobe_vectors
 from torchprt.transfer import DiffuseTransfer, Transfer, ZonalMap, ZonalTransfer, zonal_map
 
 FOLDER = Path(__file__).parents[1] / "images"
@@ -41,10 +43,10 @@ def head() -> Mesh:
     return samples.head().objects[0].mesh
 
 
-def diffuse(mesh: Mesh, positions: Tensor, **options: bool) -> DiffuseTransfer:
+def diffuse(mesh: Mesh, positions: Tensor, shadows: bool = True) -> DiffuseTransfer:
     """The mesh baked in a pose."""
     scene = Scene([Object(make_mesh(positions, mesh.faces, name=mesh.name), Material(0.6))])
-    baked = bake(scene, order=ORDER, progress=False, **options)
+    baked = bake(scene, order=ORDER, shadows=shadows, progress=False)
     assert isinstance(baked, DiffuseTransfer)
     return baked
 
@@ -52,9 +54,7 @@ def diffuse(mesh: Mesh, positions: Tensor, **options: bool) -> DiffuseTransfer:
 @functools.cache
 def lobes(count: int) -> ZonalTransfer:
     """Transfer of the head at rest in zonal lobes."""
-    found = fit(diffuse(head(), head().positions), lobes=count)
-    assert isinstance(found, ZonalTransfer)
-    return found
+    return fit(diffuse(head(), head().positions), lobes=count)
 
 
 def posed_head(bending: float, twisting: float) -> Tensor:
@@ -160,8 +160,8 @@ def patches() -> Tensor:
     still = preview.Still(positions, mesh.faces, size=(320, 400), camera=camera, samples=3)
     pictures, labels = [], []
     for shadows in (False, True):
-        for name, (sample, around) in PATCHES.items():
-            patch = bake_patch(sample(96), size=64, shadows=shadows, albedo=0.7)
+        for name, (sample_of, around) in PATCHES.items():
+            patch = bake_patch(sample_of(96), size=64, shadows=shadows, albedo=0.7, smooth=True)
             pictures.append(still.picture(on_the_vase(patch, around, mesh, positions)))
             labels.append(f"{name}, {'shadowed' if shadows else 'unshadowed'}")
     return preview.sheet(pictures, labels, columns=3)
@@ -170,44 +170,47 @@ def patches() -> Tensor:
 GROOVES, DEEP = 20, 0.35
 
 
-def wrinkled() -> Tensor:
-    """A bent cylinder whose wrinkles deepen toward its middle: flat, by the wrinkle map, and as a relief baked anew."""
+@functools.cache
+def cylinders() -> dict[str, tuple[Mesh, Tensor, Tensor]]:
+    """A bent cylinder whose wrinkles deepen toward its middle, four ways: mesh, positions, radiance."""
     mesh = samples.cylinder(240).objects[0].mesh
-    height = mesh.positions[:, 1] / 3
-    depth = (math.pi * height).sin()
-    positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
     assert mesh.uv is not None
-    # u counts grooves, v is their depth.
+    depth = (math.pi * mesh.positions[:, 1] / 3).sin()
+    positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+    deformed = twist(bend(carved(mesh, depth), 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+    # u counts grooves, v is their depth; so they are no chart, and frames come from that of the mesh.
     uv = torch.stack([mesh.uv[..., 0] * GROOVES, depth[mesh.faces]], -1)
-    patch = wrinkle(32, depth=DEEP)
-    rest = mesh.positions.float()
-    frames = lay_frames(mesh)
-    found = {}
+    frames = surface_frames(mesh.positions, mesh.faces, mesh.uv, mesh.normals).float()
+    found = {"smooth": (mesh, positions, shaded(diffuse(mesh, positions, shadows=False), lamps()))}
+    for name, patch in (("wrinkles, unshadowed", slopes()), ("wrinkle map", wrinkle(32, depth=DEEP))):
+        laid = lay(patch, mesh.positions.float(), mesh.faces, uv, frames=frames)
+        found[name] = mesh, positions, 0.6 * shaded(laid, lamps(), positions=positions.float())
+    found["relief, baked in the pose"] = mesh, deformed, shaded(diffuse(mesh, deformed), lamps())
+    return found
+
+
+def wrinkled() -> Tensor:
+    """The wrinkle map beside a relief that is baked: figure 6 a and b of the paper."""
+    found = cylinders()
+    mesh, positions, _ = found["smooth"]
     camera = preview.frame(positions, (-0.25, 0.2, 1.0), aspect=0.6)
-    smooth = diffuse(mesh, positions, shadows=False)
-    found["smooth"] = (positions, shaded(smooth, lamps()))
-    laid = lay(patch, rest, mesh.faces, uv, frames=frames.float())
-    flat = lay(unshadowed_wrinkle(), rest, mesh.faces, uv, frames=frames.float())
-    found["wrinkles, unshadowed"] = (positions, 0.6 * shaded(flat, lamps(), positions=positions.float()))
-    found["wrinkle map"] = (positions, 0.6 * shaded(laid, lamps(), positions=positions.float()))
-    relief = carved(mesh, depth)
-    deformed = twist(bend(relief, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
-    found["relief, baked in the pose"] = (deformed, shaded(diffuse(mesh, deformed), lamps()))
     pictures = []
-    for points, radiance in found.values():
+    for _, points, radiance in found.values():
         still = preview.Still(points, mesh.faces, size=(270, 450), camera=camera, samples=3)
         pictures.append(still.picture(radiance))
     return preview.sheet(pictures, list(found), columns=4)
 
 
-def lay_frames(mesh: Mesh) -> Tensor:
-    """Tangent frames of the cylinder from its own texture coordinates: those that drive the wrinkles are no chart."""
-    from torchprt.shade import surface_frames
+def grooves() -> Table:
+    """Error of the wrinkled cylinder against the relief, baked in the pose."""
+    table = Table("wrinkled cylinder: relative RMS error against a relief that is baked in the pose")
+    wanted = cylinders()["relief, baked in the pose"][2]
+    for name, (_, _, radiance) in list(cylinders().items())[:3]:
+        table.add(name, error=relative_rms(radiance, wanted))
+    return table
 
-    return surface_frames(mesh.positions, mesh.faces, mesh.uv, mesh.normals)
 
-
-def unshadowed_wrinkle() -> ZonalMap:
+def slopes() -> ZonalMap:
     """A map of the slopes of the grooves alone: clamped cosines about tilted normals."""
     rows = columns = 64
     v, u = ((torch.arange(64, dtype=torch.float64) + 0.5) / 64 for _ in range(2))
@@ -239,17 +242,34 @@ def carved(mesh: Mesh, depth: Tensor) -> Tensor:
 def fits() -> Table:
     """What patches of 64 x 64 texels cost and lose."""
     table = Table("patches, 64 x 64 texels, order 6, 1024 rays: relative RMS error of the fit")
-    for name, (sample, _) in PATCHES.items():
-        texels = patch_transfer(sample(96), size=64)
+    for name, (sample_of, _) in PATCHES.items():
+        texels = patch_transfer(sample_of(96), size=64)
         columns: dict[str, str | int] = {}
         for count in (1, 2, 3, 4):
             found = fit(texels, lobes=count)
-            assert isinstance(found, ZonalTransfer)
             columns[f"N = {count}"] = f"{found.fit_error:.2%}"
             columns["kB, N = 4"] = round(found.bytes / 1024)
         table.add(name, extra=columns)
     model = wrinkle(32, depth=DEEP)
     table.add("wrinkle map, 32 x 32", extra={"N = 3": f"{model.fit_error:.2%}"})
+    return table
+
+
+def between() -> Table:
+    """What is lost between texels: every map read at nine times as many places, against a bake there."""
+    table = Table("patches between texels, N = 4: relative RMS error against 192 x 192 texels")
+    fine = 192
+    for name, (sample_of, _) in PATCHES.items():
+        wanted = patch_transfer(sample_of(96), size=fine).transfer
+        for size in (32, 64, 128):
+            texels = patch_transfer(sample_of(96), size=size)
+            columns = {}
+            for smooth in (False, True):
+                patch = zonal_map(fit(texels, lobes=4, smooth=smooth), size, size)
+                read = sample(patch, texel_centres(fine, fine))
+                vectors = lobe_vectors(read.axis.movedim(1, 0), read.coefficients, read.exact)
+                columns["smooth" if smooth else "nearest"] = f"{relative_rms(vectors, wanted):.1%}"
+            table.add(f"{name}, {size} x {size}", extra=columns)
     return table
 
 
@@ -268,7 +288,7 @@ def path(name: str, suffix: str) -> Path:
     return FOLDER / f"{name}.{suffix}"
 
 
-TABLES = {"truth": truth, "fits": fits}
+TABLES = {"truth": truth, "grooves": grooves, "fits": fits, "between": between}
 PICTURES = {"deformed": deformed, "patches": patches, "wrinkled": wrinkled}
 ANIMATIONS = {"bending": bending, "flapping": flapping}
 

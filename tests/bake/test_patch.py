@@ -5,10 +5,14 @@ import math
 import pytest
 import torch
 
-from torchprt.bake import bake, patch_transfer
+from torchprt import light
+from torchprt.bake import bake, bake_patch, patch_transfer
 from torchprt.bake.diffuse import unshadowed
+from torchprt.bake.patch import texel_centres
 from torchprt.errors import InputError
 from torchprt.scene import Material, Object, Scene, height_field, make_mesh, samples, tiled
+from torchprt.shade import lay, sample, shader
+from torchprt.shade.lobes import lobe_vectors
 
 EPS = torch.finfo(torch.float32).eps
 
@@ -150,3 +154,43 @@ def test_unshadowed_patches_follow_their_normals_alone():
 def test_the_same_for_any_number_of_threads():
     one, two = (patch_transfer(samples.bumps(8), size=30, rays=64, threads=count) for count in (1, 2))
     assert torch.equal(one.transfer, two.transfer)
+
+
+@pytest.fixture(scope="module")
+def small():
+    options = {"size": (8, 12), "rays": 256, "order": 4, "albedo": (0.5, 0.4, 0.3)}
+    return patch_transfer(samples.bumps(16), **options), bake_patch(samples.bumps(16), **options)
+
+
+def test_a_baked_patch_is_a_map_of_what_was_recorded(small):
+    texels, patch = small
+    patch.check()
+    assert patch.size == (8, 12)
+    assert (patch.lobes, patch.order, patch.rays, patch.transport) == (4, 4, 256, "shadowed")
+    assert (patch.tiles_u, patch.tiles_v, patch.smooth) == (True, True, False)
+    found = sample(patch, texel_centres(8, 12))
+    vectors = lobe_vectors(found.axis.movedim(1, 0), found.coefficients, found.exact)
+    assert (vectors - texels.transfer).norm() <= 1.001 * patch.fit_error * texels.transfer.norm()
+    assert patch.fit_error < 0.01
+    assert torch.equal(found.albedo, texels.albedo)
+
+
+def test_a_patch_on_a_plane_of_its_size_is_the_relief_itself(small):
+    """Laid on the unit square, at texels, radiance is that of the bake of the relief."""
+    texels, patch = small
+    places = texel_centres(8, 12)
+    plane = torch.cat([places, torch.zeros(96, 1)], 1)
+    frames = torch.eye(3, dtype=torch.float64).expand(96, 3, 3)
+    laid = lay(patch, plane, torch.zeros(0, 3, dtype=torch.int64), places, frames=frames)
+    lamps = light.project(light.studio(64), 4)
+    found, wanted = shader(laid)(lamps), shader(texels)(lamps.float())
+    assert (found - wanted).norm() < 0.01 * wanted.norm()
+
+
+def test_a_patch_that_does_not_tile_is_a_map_that_does_not():
+    patch = bake_patch(dome(), size=8, rays=64, order=3, lobes=1, tiles=False)
+    assert (patch.tiles_u, patch.tiles_v) == (False, False)
+
+
+def test_a_smooth_patch_is_read_smoothly():
+    assert bake_patch(samples.bumps(8), size=6, rays=64, order=3, lobes=2, smooth=True).smooth

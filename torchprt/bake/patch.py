@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from torchprt.bake.bake import bake
+from torchprt.compress import fit
 from torchprt.errors import InputError
 from torchprt.progress import Report
 from torchprt.scene import Material, Mesh, Object, Points, Scene, make_mesh, tiled
 from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer
-from torchprt.transfer import DiffuseTransfer, ZonalMap, ZonalTransfer, zonal_map
+from torchprt.transfer import DiffuseTransfer, ZonalMap, zonal_map
 
 # Half the side of the floor under a patch, in tiles: a ray that leaves a relief of depth .1 sideways and downward meets
 # it unless it sinks less than one part in six hundred.
@@ -36,11 +37,11 @@ def bake_patch(
     Raises InputError as both do.
     Source: Sloan, Luna and Snyder 2005, sections 5 and 6.
     """
-    from torchprt.compress import fit
-
     rows, columns = (size, size) if isinstance(size, int) else size
-    texels = fit(patch_transfer(mesh, size=size, **options), lobes=lobes, smooth=smooth, restarts=restarts)
-    assert isinstance(texels, ZonalTransfer)
+    vectors = patch_transfer(mesh, size=size, **options)
+    progress = options.get("progress", False)
+    report = None if isinstance(progress, bool) else progress
+    texels = fit(vectors, lobes=lobes, smooth=smooth, restarts=restarts, report=report)
     tiles = bool(options.get("tiles", True))
     return zonal_map(texels, rows, columns, tiles_u=tiles, tiles_v=tiles)
 

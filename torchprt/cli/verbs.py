@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import compressing, look, options, posing
+from torchprt.cli import compressing, covering, look, options, posing
 from torchprt.cli.report import complain, describe, details, say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
@@ -314,7 +314,9 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
     import torchprt as prt
 
     suffix = file.suffix.lower()
-    if suffix == ".safetensors":
+    if suffix == ".safetensors" and prt.transfer.holds_map(file):
+        say(f"{file}: {covering.told(prt.transfer.load_map(file))}")
+    elif suffix == ".safetensors":
         loaded = prt.load_transfer(file)
         say(f"{file}: {describe(loaded)}")
         for line in details(loaded):
@@ -335,6 +337,8 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
 
 
 app.command()(compressing.compress)
+app.command()(covering.patch)
+app.command()(covering.lay)
 app.command()(look.render)
 app.command()(look.preview)
 

@@ -19,6 +19,7 @@ from .kinds import Transfer as Transfer
 from .zonal import ZonalTransfer as ZonalTransfer
 from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
 from .zonal_map import ZonalMap as ZonalMap
+from .zonal_map import holds_map as holds_map
 from .zonal_map import load_map as load_map
 from .zonal_map import save_map as save_map
 from .zonal_map import zonal_map as zonal_map
@@ -41,6 +42,7 @@ __all__ = [
     "ZonalFactoredTransfer",
     "ZonalMap",
     "ZonalTransfer",
+    "holds_map",
     "load",
     "load_map",
     "save",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -140,3 +141,12 @@ def load_map(path: str | os.PathLike[str]) -> ZonalMap:
     patch = load_kind(path, {ZonalMap.kind: ZonalMap})
     assert isinstance(patch, ZonalMap)
     return patch
+
+
+def holds_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a file says that it holds a map; not whether it is sound."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return (file.metadata() or {}).get("kind") == ZonalMap.kind
+    except (SafetensorError, OSError):
+        return False

@@ -1,0 +1,90 @@
+"""Do patches go all the way from a picture of heights to a lit mesh, and are wrong ones refused?"""
+
+import numpy as np
+import PIL.Image
+import pytest
+import trimesh
+
+from torchprt.scene import samples
+from torchprt.transfer import load, load_map
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A picture of a bump, a cylinder with texture coordinates, and what is no patch."""
+    folder = tmp_path_factory.mktemp("patches")
+    ticks = (np.arange(16) + 0.5) / 16 - 0.5
+    bump = np.clip(1 - 6 * (ticks[:, None] ** 2 + ticks**2), 0, 1)
+    PIL.Image.fromarray((255 * bump).astype(np.uint8)).save(folder / "bump.png")
+    mesh = samples.cylinder(8).objects[0].mesh
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.positions.tolist()]
+    lines += [f"vt {u} {v}" for u, v in mesh.uv.reshape(-1, 2).tolist()]
+    corner = [[f"{v + 1}/{3 * f + k + 1}" for k, v in enumerate(face)] for f, face in enumerate(mesh.faces.tolist())]
+    lines += [f"f {' '.join(face)}" for face in corner]
+    (folder / "cylinder.obj").write_text("\n".join(lines))
+    trimesh.creation.icosphere(subdivisions=1).export(folder / "ball.ply")
+    return folder
+
+
+def test_a_picture_becomes_a_patch_on_a_lit_mesh(done, made, folder, tmp_path):
+    small = ("--size", 8, "--order", 4, "--rays", 64)
+    said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small, "--depth", 0.2)
+    assert "map of 8 x 8 texels, shadowed, order 4, 4 lobes, tiles" in said
+    assert "map of 8 x 8 texels" in done("info", tmp_path / "p.safetensors")
+    assert load_map(tmp_path / "p.safetensors").size == (8, 8)
+
+    said = done(
+        "lay", tmp_path / "p.safetensors", made / "cylinder.obj", "-o", tmp_path / "c.safetensors", "--repeat", "8,6"
+    )
+    assert "zonal" in said
+    laid = load(tmp_path / "c.safetensors")
+    assert (laid.order, laid.lobes) == (4, 4)
+    done("shade", tmp_path / "c.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "c.npy")
+    radiance = np.load(tmp_path / "c.npy")
+    assert radiance.shape == (laid.vertices, 3)
+    lit = laid.normals[:, 0].numpy() > 0.5
+    assert radiance[lit].mean() > 4 * abs(radiance[laid.normals[:, 0].numpy() < -0.5].mean())
+
+
+def test_options_change_the_patch(done, made, tmp_path):
+    small = ("--size", 4, "--order", 3, "--rays", 16, "--lobes", 1, "--smooth", "--single", "--unshadowed")
+    said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small)
+    for word in ("unshadowed", "1 lobes, smooth", "a single patch"):
+        assert word in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["patch", "bump.png", "--depth", "0.1", "-o", "p.png"], ["p.png"]),
+        (["patch", "missing.png", "-o", "p.safetensors"], ["missing.png"]),
+        (["patch", "ball.ply", "-o", "p.safetensors"], ["must fill the unit square"]),
+        (["patch", "ball.ply", "--depth", "1", "-o", "p.safetensors"], ["--depth is for images"]),
+        (["patch", "bump.png", "--albedo", "2", "-o", "p.safetensors"], ["[0, 1]"]),
+        (["lay", "missing.safetensors", "cylinder.obj", "-o", "c.safetensors"], ["missing.safetensors"]),
+        (["lay", "bump.png", "cylinder.obj", "-o", "c.safetensors"], ["bump.png"]),
+    ],
+)
+def test_refuses_in_one_sentence(refused, made, tmp_path, arguments, words):
+    placed = [
+        made / part if part.endswith((".png", ".ply", ".obj")) and part != "p.png" else part for part in arguments
+    ]
+    placed = [tmp_path / part if str(part).endswith((".safetensors", "p.png")) else part for part in placed]
+    placed = [made / "bump.png" if part == tmp_path / "bump.png" else part for part in placed]
+    refused(*words, arguments=placed)
+
+
+def test_a_mesh_without_texture_coordinates_cannot_be_covered(done, refused, made, folder, tmp_path):
+    small = ("--size", 4, "--order", 3, "--rays", 16, "--lobes", 1)
+    done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small)
+    output = ("-o", tmp_path / "c.safetensors")
+    refused(
+        "ball.ply has no texture coordinates", arguments=["lay", tmp_path / "p.safetensors", made / "ball.ply", *output]
+    )
+    laid = ["lay", folder / "ball.safetensors", made / "cylinder.obj", *output]
+    refused("not a map of a patch", arguments=laid)
+    refused("--repeat", arguments=["lay", tmp_path / "p.safetensors", made / "cylinder.obj", *output, "--repeat", "2"])
+    refused(
+        "holds a map",
+        arguments=["shade", tmp_path / "p.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "c.npy"],
+    )

@@ -1,0 +1,111 @@
+"""The verbs of texture patches: bake one, and lay it on a mesh."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torchprt.cli import options
+from torchprt.cli.report import complain, describe, details, say
+from torchprt.errors import InputError
+from torchprt.files import check_writable
+
+if TYPE_CHECKING:
+    from torchprt.transfer import ZonalMap
+
+MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
+
+
+def patch(
+    relief: Annotated[Path, typer.Argument(help="An image of heights, or a mesh over the unit square with z up.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    depth: Annotated[
+        float | None, typer.Option(help="Image: of white above black, in tiles.", show_default="0.1")
+    ] = None,
+    size: Annotated[int, typer.Option(min=2, max=1024, help="Texels a side.")] = 64,
+    lobes: Annotated[int, typer.Option(min=1, max=64, help="Zonal lobes a texel.")] = 4,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Lobes of texels correspond: they interpolate.")] = False,
+    order: Annotated[int, typer.Option(min=1, max=64, help="SH bands of the light that it will answer to.")] = 6,
+    rays: Annotated[int, typer.Option(min=1, max=1 << 22, help="Rays a texel, over its hemisphere.")] = 1024,
+    bounces: Annotated[str, typer.Option(help="How often light is reflected on: 0, 1, 2, ... or inf.")] = "0",
+    albedo: Annotated[str, typer.Option(help="0.5, or r,g,b.")] = "0.5",
+    single: Annotated[bool, typer.Option("--single", help="The patch does not tile: its border goes on.")] = False,
+    unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
+    threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
+) -> None:
+    """Bake a small relief into a map of zonal lobes that any surface can be covered with."""
+    from torchprt.bake import bake_patch
+    from torchprt.bake.progress import Bar
+    from torchprt.scene import height_field, read_heights, read_mesh
+    from torchprt.transfer import save_map
+
+    check_writable(output, (".safetensors",))
+    count, colour = options.bounces(bounces), options.albedo(albedo)
+    if relief.suffix.lower() in MESHES:
+        if depth is not None:
+            raise InputError(f"--depth is for images: {relief} has its own")
+        mesh = read_mesh(relief)
+    else:
+        mesh = height_field(read_heights(relief), 0.1 if depth is None else depth, relief.name)
+    start = time.perf_counter()
+    try:
+        with Bar() as bar:
+            baked = bake_patch(
+                mesh,
+                size=size,
+                lobes=lobes,
+                smooth=smooth,
+                tiles=not single,
+                order=order,
+                rays=rays,
+                bounces=count,
+                shadows=not unshadowed,
+                albedo=colour,
+                threads=threads,
+                progress=bar,
+            )
+    except KeyboardInterrupt:
+        complain("stopped; nothing is written")
+        raise typer.Exit(130) from None
+    save_map(baked, output)
+    say(f"{output}: {told(baked)}, baked in {time.perf_counter() - start:.1f} s")
+
+
+def lay(
+    map: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt patch` wrote.")],
+    mesh: Annotated[Path, typer.Argument(help="A mesh with texture coordinates.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    repeat: Annotated[str, typer.Option(help="Patches from 0 to 1 along u,v.")] = "1,1",
+) -> None:
+    """Cover a mesh with a patch: transfer that turns with the surface when it bends."""
+    from torchprt import shade as room
+    from torchprt import transfer as kinds
+    from torchprt.scene import read_mesh
+
+    check_writable(output, (".safetensors",))
+    u, v = options.numbers(repeat, 2, "--repeat")
+    baked = kinds.load_map(map)
+    surface = read_mesh(mesh)
+    if surface.uv is None:
+        raise InputError(f"{mesh} has no texture coordinates: unwrap it (a patch is laid on through them)")
+    arrays = (surface.positions.float(), surface.faces.int(), surface.uv)
+    laid = room.lay(baked, *arrays, repeat=(u, v), normals=surface.normals)
+    kinds.save(laid, output)
+    say(f"{output}: {describe(laid)}")
+    for line in details(laid)[1:]:
+        say(line)
+
+
+def told(baked: ZonalMap) -> str:
+    """What a map is, in a line."""
+    rows, columns = baked.size
+    fitted = "" if baked.fit_error is None else f", fit {baked.fit_error:.2%}"
+    smooth = ", smooth" if baked.smooth else ""
+    tiles = "tiles" if baked.tiles_u and baked.tiles_v else "a single patch"
+    return (
+        f"map of {rows} x {columns} texels, {baked.transport}, order {baked.order}, {baked.lobes} lobes{smooth}, "
+        f"{tiles}, {baked.bytes / 1024:.0f} kB{fitted}"
+    )
