@@ -33,8 +33,8 @@ def test_distance_is_magnitude_and_colour_is_sign(order, scale):
     largest = float((sh.basis(sphere(48)[0], order) @ function).abs().max())
     # A direction off by one rounding of the place, 8, over the shortest distance.
     torch.testing.assert_close(distance[distance > 1e-3], 2 * value.abs() / largest, rtol=1e-9, atol=1e-10)
-    warm = found.colours[:, 0] > found.colours[:, 2]
-    assert torch.equal(warm[distance > 1e-3], value > 0)
+    red = found.colours[:, 0] > found.colours[:, 2]
+    assert torch.equal(red[distance > 1e-3], value > 0)
 
 
 def test_the_largest_reaches_the_size_that_was_asked_for():

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt import sh
 
-POSITIVE, NEGATIVE = (0.95, 0.45, 0.2), (0.25, 0.5, 0.95)
+POSITIVE, NEGATIVE = (0.95, 0.25, 0.33), (0.2, 0.45, 0.85)
 RINGS = 48
 TOWARD = (0.4, 0.8, 0.45)
 """Where the faces of a lobe are brightest, so that its shape is seen without any light."""
@@ -19,7 +19,7 @@ TOWARD = (0.4, 0.8, 0.45)
 
 @dataclass(frozen=True)
 class Lobe:
-    """A surface with sRGB vertex colours: warm where the function is positive, cool where it is negative."""
+    """A surface with sRGB vertex colours: red where the function is positive, blue where it is negative."""
 
     positions: Float[Tensor, "V 3"]
     faces: Int[Tensor, "F 3"]

@@ -279,7 +279,7 @@ class Session:
         u, v = float(hit.u), float(hit.v)
         corner = max(range(3), key=(1 - u - v, u, v).__getitem__)
         self.picked = int(self.faces[triangle, corner])
-        return f"vertex {self.picked}: its transfer function, warm where light adds and cool where it takes away"
+        return f"vertex {self.picked}: its transfer function, red where light adds and blue where it takes away"
 
     # How
 
