@@ -119,7 +119,7 @@ def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     assert said["environments"][0]["lamp"] == {"direction": direction.tolist(), "colour": colour.tolist()}
     # The brighter parts of the model stay below the shoulder of the tone map.
     bright = np.quantile(radiance[0] @ [0.2126, 0.7152, 0.0722], 0.95)
-    assert said["environments"][0]["exposure"] == pytest.approx(math.log2(0.5 / bright), abs=0.01)
+    assert said["environments"][0]["exposure"] == pytest.approx(math.log2(EXPORT.BRIGHT / bright), abs=0.01)
 
 
 def test_a_former_page_is_replaced_as_a_whole(make_transfer, tmp_path, no_graph, lamps):

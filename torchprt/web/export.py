@@ -31,6 +31,8 @@ from torchprt.web.libraries import libraries
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
 SHADOWS, COMPRESSION = 1.0, 0.1
+# Luminance that 95 of 100 vertices stay below, when a light is first shown.
+BRIGHT = 0.35
 # What the page fetches before its first picture, beside mesh, graphs and pictures.
 LOADED = (
     "three.module.min.js",
@@ -176,11 +178,11 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
 
 
 def _exposures(transfer: Transfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
-    """Stops that bring the brighter parts of the model (95 of 100 vertices) below the shoulder of the tone map."""
+    """Stops that bring the brighter parts of the model below the shoulder of the tone map."""
     seen = {} if isinstance(transfer, DIFFUSE) else {"eye": torch.tensor(eye)}
     with torch.no_grad():
         bright = luminance(shader(transfer)(light, **seen).float()).quantile(0.95, dim=-1)
-    return [round(math.log2(0.5 / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
+    return [round(math.log2(BRIGHT / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
 
 
 def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:

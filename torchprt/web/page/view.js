@@ -29,14 +29,23 @@ const surface = () =>
       }`,
   });
 
-// The side that reflects nothing is black, and gives way to a surface that lies on it and faces the eye.
+// The side that reflects nothing is black. It stands back by a pixel, behind what may lie on it and face the eye, and
+// inside silhouettes, where rounding would show it.
 const reverse = () =>
-  new THREE.MeshBasicMaterial({
-    color: 0,
+  new THREE.ShaderMaterial({
+    uniforms: { pixel: { value: 0 } },
     side: THREE.BackSide,
     polygonOffset: true,
-    polygonOffsetFactor: 1,
+    polygonOffsetFactor: 2,
     polygonOffsetUnits: 4,
+    vertexShader: /* glsl */ `
+      uniform float pixel;
+      void main() {
+        vec4 place = modelViewMatrix * vec4(position, 1.0);
+        place.xyz += place.z * pixel * normalize(normalMatrix * normal);
+        gl_Position = projectionMatrix * place;
+      }`,
+    fragmentShader: "void main() { gl_FragColor = vec4(0.0, 0.0, 0.0, 1.0); }",
   });
 
 const surroundings = () =>
@@ -101,8 +110,9 @@ export class View {
     this.sky.renderOrder = -1;
     this.sky.visible = false;
     this.scene = new THREE.Scene().add(this.sky, new THREE.Mesh(geometry, this.material));
-    // Of a closed surface no reverse is seen, but rounding at silhouettes would show it.
-    if (!closed) this.scene.add(new THREE.Mesh(geometry, reverse()));
+    this.reverse = reverse();
+    // Of a closed surface no reverse is seen.
+    if (!closed) this.scene.add(new THREE.Mesh(geometry, this.reverse));
     this.pictures = new Map();
     this.#place(camera);
     new ResizeObserver(() => this.resize()).observe(canvas);
@@ -187,6 +197,8 @@ export class View {
     this.camera.position.copy(this.eye);
     this.camera.lookAt(this.target);
     this.camera.updateProjectionMatrix();
+    const height = this.renderer.getDrawingBufferSize(new THREE.Vector2()).y;
+    this.reverse.uniforms.pixel.value = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / height;
     this.renderer.render(this.scene, this.camera);
   }
 }
