@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.shade.gather import rows_of
+from torchprt.shade.gather import pick, rows_of
 
 # Normals of copies of a vertex are the same when they are rounded to this.
 SAME_NORMAL = 1e-3
@@ -128,16 +128,15 @@ class DeformedFrames(nn.Module):
         basis = self.basis.to(posed.dtype).reshape(3, 3, *(1,) * (posed.ndim - 2), self.vertices)
         tangent, bitangent, _ = basis.unbind(0)
         points = posed.movedim(-1, 0)
-        first, second, third = points.index_select(-1, self.faces).unflatten(-1, (3, -1)).unbind(-2)
+        first, second, third = pick(points, self.faces).unflatten(-1, (3, -1)).unbind(-2)
         facing = _cross((second - first) / self.scale, (third - first) / self.scale)
         zero = torch.zeros_like(facing[..., :1])
         facing = torch.cat([facing, -facing, zero] if self.opposes else [facing, zero], -1)
-        width = self.sum_around.width
-        deformed, has_normal = _unit(self.sum_around(facing.index_select(-1, self.around).unflatten(-1, (-1, width))))
-        own = points if self.own is None else points.index_select(-1, self.own)
-        width = self.sum_neighbours.width
-        near = points.index_select(-1, self.neighbours).unflatten(-1, (-1, width))
-        apart = (near - own.unsqueeze(-1)) / self.scale
+        around = pick(facing, self.around).unflatten(-1, (self.sum_around.width, -1))
+        deformed, has_normal = _unit(self.sum_around(around))
+        own = points if self.own is None else pick(points, self.own)
+        near = pick(points, self.neighbours).unflatten(-1, (self.sum_neighbours.width, -1))
+        apart = (near - own.unsqueeze(-2)) / self.scale
         along, across = (self.sum_neighbours(apart * slope) for slope in self.slopes.to(posed.dtype).unbind(0))
         turned, has_direction = _unit(_within(along + _cross(across, deformed), deformed))
         kept, other = _within(tangent, deformed), _within(bitangent, deformed)
@@ -250,7 +249,7 @@ def _orthonormal(normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _filled(values: Tensor, rows: Tensor, empty: int) -> Tensor:
-    """`values [..., E]` in the slots `rows [R, W]`, `empty` where a slot is E."""
+    """`values [..., E]` in the slots `rows [W, R]`, `empty` where a slot is E."""
     return torch.cat([values, values.new_full((*values.shape[:-1], 1), empty)], -1)[..., rows].contiguous()
 
 

@@ -11,26 +11,37 @@ WIDEST = 8
 
 
 class SumRows(nn.Module):
-    """Sums `[..., R, W]`, row by row, and then the rows of each of V vertices, to `[..., V]`."""
+    """Sums `[..., W, R]`, row by row, and then the rows of each of V vertices, to `[..., V]`.
+
+    Rows are last, so that a sum adds long streams.
+    """
 
     def __init__(self, width: int, more: list[Tensor]) -> None:
-        """`more`: for each further level the rows `[R, W]` that are summed, where the last one is a zero."""
+        """`more`: for each further level the slots `[W, R]` of rows that are summed, the last row being a zero."""
         super().__init__()
         self.width = width
         self.levels = len(more)
         for level, rows in enumerate(more):
             self.register_buffer(f"rows{level}", rows, persistent=False)
 
-    def forward(self, values: Float[Tensor, "*B R W"]) -> Float[Tensor, "*B V"]:
-        sums = values.sum(-1)
+    def forward(self, values: Float[Tensor, "*B W R"]) -> Float[Tensor, "*B V"]:
+        sums = values.sum(-2)
         for level in range(self.levels):
             rows = getattr(self, f"rows{level}")
             padded = torch.cat([sums, torch.zeros_like(sums[..., :1])], -1)
-            sums = padded.index_select(-1, rows.reshape(-1)).unflatten(-1, rows.shape).sum(-1)
+            sums = pick(padded, rows.reshape(-1)).unflatten(-1, rows.shape).sum(-2)
         return sums
 
 
-def rows_of(owner: Int[Tensor, " E"], count: int) -> tuple[Int[Tensor, "R W"], Int[Tensor, " R"], SumRows]:
+def pick(vectors: Tensor, index: Tensor) -> Tensor:
+    """Of `vectors [3, ..., V]` those that `index [E]` names."""
+    if torch.compiler.is_compiling():
+        # Gather of ONNX Runtime copies one stretch of memory after the other: three numbers at a time, not one.
+        return vectors.movedim(0, -1).index_select(-2, index).movedim(-1, 0).contiguous()
+    return vectors.index_select(-1, index)
+
+
+def rows_of(owner: Int[Tensor, " E"], count: int) -> tuple[Int[Tensor, "W R"], Int[Tensor, " R"], SumRows]:
     """Slots for E entries of `count` vertices, `owner` ascending; whose the rows are; and the module that sums them.
 
     Slots hold the number of an entry, or E where they stay empty; a vertex has one row or more.
@@ -55,4 +66,5 @@ def _level(owner: Tensor, count: int, width: int) -> tuple[Tensor, Tensor]:
     belongs = torch.arange(count, device=owner.device).repeat_interleave(rows)
     place = torch.arange(len(belongs), device=owner.device) - (rows.cumsum(0) - rows)[belongs]
     slots = first[belongs, None] + place[:, None] * width + torch.arange(width, device=owner.device)
-    return torch.where(slots < (first + many)[belongs, None], slots, len(owner)), belongs
+    slots = torch.where(slots < (first + many)[belongs, None], slots, len(owner))
+    return slots.T.contiguous(), belongs
