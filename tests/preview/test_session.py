@@ -348,6 +348,35 @@ def test_zonal_transfer_moves_and_comes_back():
     close(session.colours(), still)
 
 
+def test_other_transfer_of_a_model_that_has_moved_is_at_rest(make_transfer):
+    lobes = random_zonal(side=5, order=ORDER)
+    flat = make_transfer(side=5, order=ORDER)
+    flat.positions, flat.faces = lobes.positions, lobes.faces
+    session = Session({"vectors": flat, "lobes": lobes}, environments())
+    still = {mode: session.set_mode(mode) and session.colours() for mode in ("transfer", "unshadowed")}
+    session.set_mode("compressed")
+    session.play()
+    session.advance(PERIOD / 4)
+    assert session.positions is not session.rest
+    for mode, wanted in still.items():
+        session.set_mode(mode)
+        close(session.colours(), wanted)
+        session.advance(0.1)
+        assert session.positions is session.rest
+        close(session.colours(), wanted)
+        session.set_mode("compressed")
+        session.advance(0.1)
+
+
+def test_normals_follow_the_pose_in_the_ways_without_transfer():
+    session = Session({"lobes": random_zonal(side=5, order=ORDER)}, environments())
+    session.set_mode("unshadowed")
+    still = session.colours()
+    session.play()
+    session.advance(PERIOD / 4)
+    assert not torch.allclose(session.colours(), still, atol=1e-3)
+
+
 def test_given_poses_come_one_after_the_other():
     transfer = random_zonal(side=4, order=ORDER)
     poses = torch.stack([transfer.positions.double() * scale for scale in (1.0, 1.5, 2.0)])

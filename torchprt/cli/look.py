@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -119,11 +119,11 @@ def preview(
     options.choice(tone, "--tone", ("filmic", "none"))
     preview.check_window()
     opened = {_name(path, bakes): prt.load_transfer(path) for path in bakes}
-    chosen: Any = None
     for name, transfer in opened.items():
         say(f"{name}: {describe(transfer)}")
-        if (material is not None and transfer.kind.endswith("incident")) or chosen is None:
-            chosen = options.gloss_of(transfer, material) or chosen
+    # Those whose reflectance is open, if there are any; the others say that theirs is not.
+    incident = [transfer for transfer in opened.values() if transfer.kind.endswith("incident")]
+    chosen = options.gloss_of((incident or list(opened.values()))[0], material)
     highest = max(transfer.order for transfer in opened.values())
     lights = [_environment(each, highest, repair) for each in light or (STUDIO, SKY)]
     moves = None if poses is None else options.positions(poses)

@@ -14,6 +14,7 @@ from torch import Tensor
 from torchprt.preview.camera import Camera
 from torchprt.preview.lobe import sphere
 from torchprt.preview.panel import panel
+from torchprt.preview.picture import reverse_corners
 from torchprt.preview.session import Session
 
 RINGS = 48
@@ -196,6 +197,4 @@ class Drawing:
 
 def reverse_faces(positions: Tensor, faces: Tensor) -> Tensor:
     """The reverse sides of those faces whose reverse is no face of the model: they reflect nothing."""
-    from torchprt.preview.picture import reverse_corners
-
     return faces[reverse_corners(positions, faces)[:, 0] < 0].flip(1)

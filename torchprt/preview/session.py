@@ -316,7 +316,7 @@ class Session:
         return (frames @ self.normals[..., None].to(frames))[..., 0].float()
 
     def _pose(self) -> Tensor | None:
-        return None if self.positions is self.rest else self.positions
+        return self.positions if self.follows_pose and self.positions is not self.rest else None
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""
