@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchprt.cli import options
-from torchprt.cli.report import describe, details, say
+from torchprt.cli.report import complain, describe, details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
 
@@ -51,9 +51,13 @@ def compress(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
 ) -> None:
-    """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix."""
+    """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix.
+
+    Stopped with Ctrl-C, the same command goes on.
+    """
     from torchprt import compress as room
     from torchprt import transfer as kinds
+    from torchprt.bake.progress import Bar
 
     check_writable(output, (".safetensors",))
     chosen = options.choice(method, "--method", METHODS)
@@ -61,24 +65,36 @@ def compress(
     size = None if bytes is None else byte_count(bytes, "--bytes")
     added = fraction(coherence, "--coherence")
     loaded = kinds.load(transfer)
+    weight = None if importance is None else expected(importance, loaded)
+    partial = output.with_name(output.name + ".partial")
     start = time.perf_counter()
-    packed = room.compress(
-        loaded,
-        clusters=clusters,
-        components=components,
-        error=target,
-        bytes=size,
-        method=chosen,
-        bits=bits,
-        shared=shared,
-        coherence=added,
-        importance=None if importance is None else expected(importance, loaded),
-        seed=seed,
-    )
-    if superclusters is not None:
-        packed = room.reorder(packed, superclusters)
+    try:
+        with Bar() as bar:
+            packed = room.compress(
+                loaded,
+                clusters=clusters,
+                components=components,
+                error=target,
+                bytes=size,
+                method=chosen,
+                bits=bits,
+                shared=shared,
+                coherence=added,
+                importance=weight,
+                seed=seed,
+                report=bar,
+                checkpoint=partial,
+                keep=True,
+            )
+        if superclusters is not None:
+            packed = room.reorder(packed, superclusters)
+    except KeyboardInterrupt:
+        kept = f"; {partial} keeps what is done, the same command goes on from there" if partial.exists() else ""
+        complain(f"stopped{kept}")
+        raise typer.Exit(130) from None
     taken = time.perf_counter() - start
     kinds.save(packed, output)
+    partial.unlink(missing_ok=True)
     say(f"{output}: {describe(packed)}, compressed in {taken:.1f} s")
     for line in details(packed)[1:3]:
         say(line)
