@@ -9,6 +9,7 @@ from torch.nn.functional import normalize
 from zonal_transfers import by_definition, random_zonal, turns, vectors_by_definition
 
 from torchprt import sh
+from torchprt.compress import fit_lobes
 from torchprt.errors import InputError
 from torchprt.shade import DeformableShader, EnvironmentShader, deformed_frames, shader
 from torchprt.transfer import DiffuseTransfer
@@ -131,6 +132,21 @@ def test_identity_frames_reproduce_the_transfer_that_was_fitted(dtype, exact):
     for posed in ({}, {"frames": torch.eye(3, dtype=dtype).expand(9, 3, 3)}, {"positions": transfer.positions}):
         # Estimated frames are off by some roundings of the edges.
         assert close(module(light, **posed), wanted, 512 if "positions" in posed else 64)
+
+
+@pytest.mark.parametrize("lobes", [1, 3])
+def test_the_rest_pose_of_fitted_lobes_is_their_reconstruction(lobes):
+    vectors = torch.randn(9, 1, 16, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    found = fit_lobes(vectors, lobes)
+    transfer = dataclasses.replace(
+        random_zonal(dtype=torch.float64),
+        axis=found.axis,
+        coefficients=found.coefficients,
+        exact=found.exact,
+    )
+    made = shader(transfer).vectors(None)
+    assert (made - found.reconstruct().permute(1, 2, 0)).abs().max() <= 64 * EPSILON[torch.float64]
+    assert lobes < 3 or torch.equal(made[:, :4], vectors.permute(1, 2, 0)[:, :4])
 
 
 @pytest.mark.parametrize(("channels", "exact"), KINDS)
