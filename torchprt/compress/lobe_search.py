@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchprt.compress.lobe_axes import Target, fit_heights, sum_of_lobes
-from torchprt.compress.lobe_refinement import Workers, refine
+from torchprt.compress.lobe_refinement import CHUNK, Workers, refine
 from torchprt.compress.single_lobe import best_axis
 
 # How far a start is refined: one that lobes are added to, one that must prove itself, one that was drawn, the last.
@@ -35,11 +35,11 @@ class Search:
     """The best lobes so far of every vector: `axes [L, 3, V]`, and `error [V]` as `refine` gives it.
 
     `target`: vectors of unit power, or zero; `size [V]`: what they were divided by; `edges [E, 2]`: pairs of points,
-    both ways round. `tell` is called after every step.
+    both ways round. `tell` is told how many steps are done.
     """
 
     def __init__(
-        self, target: Target, size: Tensor, edges: Tensor, workers: Workers, tell: Callable[[], None], lobes: int
+        self, target: Target, size: Tensor, edges: Tensor, workers: Workers, tell: Callable[[int], None], lobes: int
     ) -> None:
         self.target, self.edges, self.workers, self.tell = target, edges, workers, tell
         self.power = target.vectors.square().sum((0, 1))
@@ -56,9 +56,9 @@ class Search:
             if count == 1:
                 self.held = rest.square().sum((0, 1)) <= self.power * torch.finfo(rest.dtype).eps
                 self.single, _ = refine(some[self.held], self.axes[..., self.held], workers, **_END)
-            tell()
+            tell(1)
         self._spread(torch.ones_like(self.error, dtype=torch.bool))
-        tell()
+        tell(1)
 
     def exchange(self) -> None:
         """Gives up each of the lobes in turn, for the best one on what the others leave."""
@@ -68,15 +68,22 @@ class Search:
             rest = self._residual(some, kept) if len(kept) else some.vectors
             axes = torch.cat([kept, best_axis(rest, some.first, self.workers)[None]])
             self._spread(self._try(points, axes, _TRIAL))
-            self.tell()
+            self.tell(1)
 
-    def restart(self, generator: torch.Generator) -> None:
-        """Random axes where the error is high."""
-        points = self._where_error_is_high(_RESTARTED)
-        axes = torch.randn(len(self.axes), 3, len(points), generator=generator, dtype=torch.float64)
-        axes = torch.nn.functional.normalize(axes, dim=1).to(self.axes)
-        self._spread(self._try(points, axes, _DRAWN))
-        self.tell()
+    def restart(self, times: int, generator: torch.Generator) -> None:
+        """Random axes where the error is high, so many times."""
+        done = 0
+        while done < times:
+            points = self._where_error_is_high(_RESTARTED)
+            # Of few vectors many at once.
+            draws = max(1, min(times - done, CHUNK // max(len(points), 1)))
+            axes = torch.randn(len(self.axes), 3, draws * len(points), generator=generator, dtype=torch.float64)
+            axes = torch.nn.functional.normalize(axes, dim=1).to(self.axes)
+            axes, error = refine(self.target[points.repeat(draws)], axes, self.workers, **_DRAWN)
+            best = error.view(draws, -1).argmin(0) * len(points) + torch.arange(len(points), device=error.device)
+            self._spread(self._try(points, axes[..., best], _TRIAL))
+            done += draws
+            self.tell(draws)
 
     def finish(self) -> Tensor:
         """Heights `[L, C, B, V]` of the axes, which are refined as far as they go."""
@@ -89,7 +96,7 @@ class Search:
         alone, _ = fit_heights(replace(self.target, ridge=0.0)[self.held], self.single)
         heights[..., self.held] = torch.cat([alone, alone.new_zeros(len(heights) - 1, *alone.shape[1:])])
         self.axes[..., self.held] = self.single
-        self.tell()
+        self.tell(1)
         return heights
 
     def _try(self, points: Tensor, axes: Tensor, steps: dict[str, Any]) -> Tensor:

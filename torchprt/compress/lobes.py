@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Float64, Int
@@ -110,9 +110,9 @@ def fit_lobes(
             found[:, :, 0] = signal[0] / lobes
         coefficients = (found / _units(order, first).to(found)).transpose(0, 1).contiguous()
         kept = signal[:4].transpose(0, 1) if exact else signal[:0].transpose(0, 1)
-        made = Lobes(axis.contiguous(), coefficients, kept.contiguous(), vectors.new_zeros(0, dtype=torch.float64))
-        error = (made.reconstruct() - vectors).double().square().sum((1, 2))
-        return Lobes(made.axis, made.coefficients, made.exact, error)
+        unknown = vectors.new_zeros(len(vectors), dtype=torch.float64)
+        made = Lobes(axis.contiguous(), coefficients, kept.contiguous(), unknown)
+        return replace(made, error=(made.reconstruct() - vectors).double().square().sum((1, 2)))
 
 
 def edges_of(faces: Int[Tensor, "F 3"]) -> Int[Tensor, "E 2"]:
@@ -144,15 +144,10 @@ def _independent(
     length = vectors.square().sum((0, 1)).sqrt()
     vectors = vectors / torch.where(length > 0, length, 1.0)
     size = largest.double() * length.double()
-
-    def tell() -> None:
-        report.advance(1)
-
     ridge = RIDGE if lobes > 1 else 0.0
-    search = Search(Target(vectors, first, ridge), size, edges, workers, tell, lobes)
+    search = Search(Target(vectors, first, ridge), size, edges, workers, report.advance, lobes)
     search.exchange()
-    for _ in range(restarts):
-        search.restart(generator)
+    search.restart(restarts, generator)
     heights = search.finish()
     return search.axes, (heights * size).to(heights)
 
