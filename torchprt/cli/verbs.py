@@ -337,6 +337,7 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
 
 
 app.command()(compressing.compress)
+app.command()(fitting.fit)
 app.command()(covering.patch)
 app.command()(covering.lay)
 app.command()(look.render)
