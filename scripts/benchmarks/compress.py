@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -137,12 +137,11 @@ def pca_in_clusters(data: np.ndarray, label: np.ndarray) -> float:
     return error
 
 
-def encode() -> list[Table]:
+def encode() -> Iterator[Table]:
     """Times of encoding, and errors, against k-means of scikit-learn alone and followed by its PCA."""
     from sklearn.cluster import KMeans
     from threadpoolctl import threadpool_limits
 
-    tables = []
     for name, transfer, rounds in (("diffuse", diffuse(), 3), ("glossy", glossy(), 2)):
         data = signal(transfer)
         rows = data.numpy()
@@ -172,23 +171,20 @@ def encode() -> list[Table]:
                 "error / k-means + PCA": kept[each] / both,
             }
             table.add(label, extra=extra)
-        tables.append(table)
-    return tables
+        yield table
 
 
-def equal_cost() -> list[Table]:
+def equal_cost() -> Iterator[Table]:
     """Plain PCA, VQ and CPCA of as many seconds a frame: error of matrices and of radiance, and time of a frame."""
-    transfer, eye = glossy(), torch.tensor([2.0, 3.0, 4.0]) * float(mesh().positions.abs().max())
+    transfer, positions = glossy(), mesh().positions
+    eye = (positions.mean(0) + torch.tensor([2.0, 3.0, 4.0]) * (positions.amax(0) - positions.amin(0)).max()).float()
     lights = torch.cat([turned(each) for each in environments(5).values()]).float()
     packed = {name: compress(transfer, **options) for name, options in EQUAL_COST.items()}
     modules = {"uncompressed": shader(transfer)} | {name: shader(each) for name, each in packed.items()}
     with torch.no_grad():
-        frames = {
-            name: functools.partial(module, lights[:1], eye=eye + mesh().positions.mean(0))
-            for name, module in modules.items()
-        }
+        frames = {name: functools.partial(module, lights[:1], eye=eye) for name, module in modules.items()}
         times = time_it(frames, rounds=9)
-        seen = {name: module(lights, eye=eye + mesh().positions.mean(0)) for name, module in modules.items()}
+        seen = {name: module(lights, eye=eye) for name, module in modules.items()}
     table = Table("equal run-time cost, 25 x 25 matrices; a frame: one light, one eye, both new")
     best = float(packed["CPCA, 256 clusters, n' = 8"].squared_error.double().sum())
     for name, module_time in times.items():
@@ -200,12 +196,11 @@ def equal_cost() -> list[Table]:
             table.add(name, error=packed[name].compression_error, bytes=packed[name].bytes, extra=extra)
         else:
             table.add(name, bytes=transfer.bytes, extra=extra)
-    return [table]
+    yield table
 
 
-def precision() -> list[Table]:
+def precision() -> Iterator[Table]:
     """Bits of a weight, PCA vectors, two levels: bytes of the compressed tensor and error of shading."""
-    tables = []
     sizes = {
         "diffuse": [(256, 8, 32, 0), (256, 8, 16, 0), (256, 8, 8, 0), (256, 16, 8, 0)],
         "glossy": [
@@ -218,6 +213,7 @@ def precision() -> list[Table]:
         table = Table(f"bytes and bits, {kind}: {data.shape[0]} x {data.shape[1]}")
         for clusters, components, bits, shared in sizes[kind]:
             packed = compress(transfer, clusters=clusters, components=components, bits=bits, shared=shared)
+            restored = signal(decompress(packed))  # type: ignore[arg-type]
             parts = (packed.label, packed.weights)
             points = sum(part.numel() * part.element_size() for part in parts) / len(data)
             whole = transfer.transfer if isinstance(transfer, DiffuseTransfer) else transfer.matrix
@@ -227,11 +223,10 @@ def precision() -> list[Table]:
             extra = {
                 "smaller": 4 * data.numel() / stored,
                 "smaller at 1M vertices": 4 * data.shape[1] * MILLION / (points * MILLION + rest),
-                "radiance, RMS": f"{shading_error(transfer, signal(decompress(packed)) - data):.2%}",
+                "radiance, RMS": f"{shading_error(transfer, restored - data):.2%}",
             }
             table.add(name, error=packed.compression_error, bytes=stored, extra=extra)
-        tables.append(table)
-    return tables
+        yield table
 
 
 def shading_error(transfer: DiffuseTransfer | GlossyTransfer, difference: Tensor, only: str | None = None) -> float:
@@ -256,7 +251,7 @@ def _radiant(rows: Tensor, lights: Tensor) -> float:
     return total
 
 
-def coherence() -> list[Table]:
+def coherence() -> Iterator[Table]:
     """Overdraw as it is, after reclassification for 5 % more error, in superclusters."""
     transfer, registers = glossy(), 256
     most = registers // ((COMPONENTS + 1) * 6)
@@ -282,12 +277,11 @@ def coherence() -> list[Table]:
                     "squared error added": f"{added:.1%}",
                 }
                 table.add(name + ("" if name == "clusters" else f", budget {budget:.0%}"), extra=extra)
-    return [table]
+    yield table
 
 
-def importance() -> list[Table]:
+def importance() -> Iterator[Table]:
     """What it buys to weigh coefficients by the light, for the same size: error of radiance, light by light."""
-    tables = []
     for kind, transfer in (("diffuse", diffuse()), ("glossy", glossy())):
         data, order = signal(transfer), transfer.order
         lamps, rows = environments(order), data.shape[1] // transfer.order**2
@@ -324,11 +318,10 @@ def importance() -> list[Table]:
             note(f"all others, turned '{turns}'", held_out)
         own = {name: weigh(light_importance(lamps[name][None], rows=rows), [name])[name] for name in names}
         note("itself, turned 'yaw'", own)
-        tables.append(table)
-    return tables
+        yield table
 
 
-def million() -> list[Table]:
+def million() -> Iterator[Table]:
     """Order-5 diffuse transfer of a million vertices, in a process of its own."""
     with tempfile.TemporaryFile("w+") as output:
         subprocess.run([sys.executable, __file__, "--million"], stdout=output, check=True)
@@ -345,11 +338,12 @@ def million() -> list[Table]:
         "grown / signal": grown / signal_bytes,
     }
     table.add("iterative", error=found["error"], bytes=found["bytes"], extra=extra)
-    return [table]
+    yield table
 
 
 def compress_a_million() -> dict[str, Any]:
     transfer = bake(load(rolling_ground(MILLION)), order=5, rays=64, progress=False)
+    assert isinstance(transfer, DiffuseTransfer)
     before = resident()
     # What the bake took is not counted.
     Path("/proc/self/clear_refs").write_text("5")
@@ -366,7 +360,7 @@ def compress_a_million() -> dict[str, Any]:
     }
 
 
-PARTS: dict[str, Callable[[], list[Table]]] = {
+PARTS: dict[str, Callable[[], Iterator[Table]]] = {
     "encode": encode,
     "cost": equal_cost,
     "precision": precision,
