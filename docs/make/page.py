@@ -32,11 +32,11 @@ def main() -> None:
             tab = browser.new_page(viewport=SIZE)
             tab.goto(f"http://127.0.0.1:{server.server_port}/")
             tab.wait_for_selector("body[data-ready]", timeout=60_000)
-            tab.click("#environments button:nth-child(3)")
+            tab.click("#environments button:nth-child(2)")
             tab.evaluate(
-                "async () => { await torchprt.raced; await torchprt.turnLight(-70, 0); await torchprt.zoom(0.55); }"
+                "async () => { await torchprt.raced; await torchprt.turnLight(60, 0); await torchprt.zoom(0.6); }"
             )
-            tab.evaluate("async () => { torchprt.turnCamera(-30, -22); await torchprt.change(); }")
+            tab.evaluate("async () => { torchprt.turnCamera(-30, -25); await torchprt.change(); }")
             picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
             browser.close()
             server.shutdown()

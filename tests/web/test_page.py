@@ -86,6 +86,37 @@ def test_keys_turn_light_and_camera_too(plane_tab):
     after = plane_tab.ask("return [it.rotation, it.view.azimuth];")
     assert before[0] != after[0]
     assert before[1] != after[1]
+    plane_tab.page.keyboard.press("+")
+    assert plane_tab.ask("return it.view.distance < it.view.farthest;")
+
+
+def test_one_finger_turns_the_camera_and_two_turn_the_light_and_zoom(plane_tab):
+    def state():
+        plane_tab.settled()
+        return plane_tab.ask("return [it.rotation, it.view.azimuth, it.view.distance];")
+
+    fingers = plane_tab.page.context.new_cdp_session(plane_tab.page)
+
+    def touch(kind, *places):
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    start = state()
+    touch("touchStart", (150, 200))
+    touch("touchMove", (200, 200))
+    touch("touchEnd")
+    one = state()
+    assert one[0] == start[0]
+    assert one[1] != start[1]
+    assert one[2] == start[2]
+    touch("touchStart", (150, 200), (250, 200))
+    touch("touchMove", (170, 240), (290, 240))
+    touch("touchEnd")
+    two = state()
+    assert two[0] != one[0]
+    assert two[1] == one[1]
+    # 100 pixels apart became 120.
+    assert two[2] == pytest.approx(one[2] / 1.2)
 
 
 def test_radiance_is_that_of_onnx_runtime_in_python(plane_tab, pages):

@@ -15,7 +15,7 @@ from torchprt.preview.environment import Environment, photograph
 from torchprt.shade import display
 
 # Rows of the pictures that a page holds, twice as many columns.
-ROWS = 192
+ROWS = 256
 # Half angle of a sample's sun: wide enough for the orders at hand.
 SUN = math.radians(12)
 _REAL_SUN = math.radians(0.2665)
