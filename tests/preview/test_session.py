@@ -13,7 +13,7 @@ from torchprt.compress import compress, decompress
 from torchprt.errors import InputError
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
-from torchprt.preview.session import BACKDROPS, MODES, WINDOWS, windowed
+from torchprt.preview.session import BACKDROPS, LOBE, MODES, WINDOWS, windowed
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import display, shader
 
@@ -312,7 +312,7 @@ def test_the_lobe_stands_at_the_picked_vertex_and_shows_its_bands(session):
     assert session.lobe() is None
     session.picked = 40
     whole = session.lobe()
-    assert float((whole.positions - session.rest[40]).norm(dim=-1).max()) == pytest.approx(0.35 * session.radius)
+    assert float((whole.positions - session.rest[40]).norm(dim=-1).max()) == pytest.approx(LOBE * session.radius)
     for _ in range(ORDER - 1):
         session.change_order(-1)
     ball = session.lobe()

@@ -35,7 +35,7 @@ WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
 CLUSTERS = 256
 """Of what is compressed here, or a sixteenth of the receivers if they are few."""
-LOBE = 0.35
+LOBE = 0.25
 """How far a transfer function reaches, in radii of the model."""
 
 
