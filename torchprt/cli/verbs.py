@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import compressing, covering, look, options, posing
+from torchprt.cli import compressing, covering, fitting, look, options, posing
 from torchprt.cli.report import complain, describe, details, say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
