@@ -10,6 +10,7 @@ import sys
 
 import mpmath
 import torch
+from published_lobes import LOBES
 from rich.console import Console
 
 from torchprt import sh
@@ -201,7 +202,7 @@ def run() -> None:
     """Prints every table."""
     torch.set_num_threads(1)
     console = Console(width=None if sys.stdout.isatty() else 120)
-    for make in (basis_accuracy, rotation_accuracy, cube_maps, gaunt_counts, hemisphere, direction_sets):
+    for make in (basis_accuracy, rotation_accuracy, cube_maps, gaunt_counts, hemisphere, direction_sets, *LOBES):
         console.print(make())
 
 
