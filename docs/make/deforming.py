@@ -43,10 +43,10 @@ def head() -> Mesh:
     return samples.head().objects[0].mesh
 
 
-def diffuse(mesh: Mesh, positions: Tensor, shadows: bool = True) -> DiffuseTransfer:
+def diffuse(mesh: Mesh, positions: Tensor, shadows: bool = True, rays: int = 1024) -> DiffuseTransfer:
     """The mesh baked in a pose."""
     scene = Scene([Object(make_mesh(positions, mesh.faces, name=mesh.name), Material(0.6))])
-    baked = bake(scene, order=ORDER, shadows=shadows, progress=False)
+    baked = bake(scene, order=ORDER, rays=rays, shadows=shadows, progress=False)
     assert isinstance(baked, DiffuseTransfer)
     return baked
 
@@ -161,7 +161,9 @@ def patches() -> Tensor:
     pictures, labels = [], []
     for shadows in (False, True):
         for name, (sample_of, around) in PATCHES.items():
-            patch = bake_patch(sample_of(96), size=64, shadows=shadows, albedo=0.7, smooth=True)
+            # A clamped cosine is one lobe about the normal: exact, and smooth.
+            model = {"lobes": 4} if shadows else {"lobes": 1, "smooth": True}
+            patch = bake_patch(sample_of(96), size=128, shadows=shadows, albedo=0.7, **model)
             pictures.append(still.picture(on_the_vase(patch, around, mesh, positions)))
             labels.append(f"{name}, {'shadowed' if shadows else 'unshadowed'}")
     return preview.sheet(pictures, labels, columns=3)
@@ -173,7 +175,7 @@ GROOVES, DEEP = 20, 0.35
 @functools.cache
 def cylinders() -> dict[str, tuple[Mesh, Tensor, Tensor]]:
     """A bent cylinder whose wrinkles deepen toward its middle, four ways: mesh, positions, radiance."""
-    mesh = samples.cylinder(240).objects[0].mesh
+    mesh = samples.cylinder(150).objects[0].mesh
     assert mesh.uv is not None
     depth = (math.pi * mesh.positions[:, 1] / 3).sin()
     positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
@@ -185,7 +187,7 @@ def cylinders() -> dict[str, tuple[Mesh, Tensor, Tensor]]:
     for name, patch in (("wrinkles, unshadowed", slopes()), ("wrinkle map", wrinkle(32, depth=DEEP))):
         laid = lay(patch, mesh.positions.float(), mesh.faces, uv, frames=frames)
         found[name] = mesh, positions, 0.6 * shaded(laid, lamps(), positions=positions.float())
-    found["relief, baked in the pose"] = mesh, deformed, shaded(diffuse(mesh, deformed), lamps())
+    found["relief, baked in the pose"] = mesh, deformed, shaded(diffuse(mesh, deformed, rays=512), lamps())
     return found
 
 
