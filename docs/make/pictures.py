@@ -2,7 +2,8 @@
 
     python docs/make/pictures.py [NAME ...]
 
-All of them without a name. The same pixels every time, as long as the versions of matplotlib and Embree are the same.
+All of them without a name; "window" needs Open3D and a display, which `xvfb-run -a` can be. The same pixels every time,
+as long as the versions of matplotlib and Embree are the same.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
@@ -25,8 +27,11 @@ from torch import Tensor
 from torchprt import demo, light, preview, sh
 from torchprt.bake import bake
 from torchprt.compress import compress
+from torchprt.preview.lobe import sphere
+from torchprt.preview.session import windowed as windowed_by
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
 from torchprt.shade import display, shader
+from torchprt.trace import Tracer
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer
 
 FOLDER = Path(__file__).parents[1] / "images"
@@ -322,12 +327,132 @@ def basis() -> plt.Figure:
     return figure
 
 
+def place_of(transfer: DiffuseTransfer, camera: preview.Camera, x: float, y: float) -> int:
+    """The vertex that is seen at these shares of a square picture, from its upper left corner."""
+    ray = camera.through(torch.tensor([[x]]).double(), torch.tensor([[y]]).double(), 1, 1)
+    hit = Tracer(transfer.positions, transfer.faces).camera(torch.tensor(camera.eye).double(), ray)
+    return int(transfer.faces[int(hit.triangle), 0])
+
+
+def with_lobe(
+    transfer: DiffuseTransfer, vertex: int, colours: Tensor, camera: preview.Camera, size: int, reach: float
+) -> Tensor:
+    """The model in sRGB colours, and the transfer function of a vertex upon it, one to `reach` units of length."""
+    coefficients = transfer.transfer[..., vertex].mean(0)
+    directions, _ = sphere(96)
+    largest = float((sh.basis(directions, transfer.order) @ coefficients.double()).abs().max())
+    function = preview.lobe(coefficients, transfer.positions[vertex].double(), reach * largest, rings=96)
+    assert function is not None
+    positions = torch.cat([transfer.positions.double(), function.positions])
+    faces = torch.cat([transfer.faces.long(), function.faces + transfer.vertices])
+    still = preview.Still(positions, faces, size=(size, size), camera=camera, samples=3)
+    return still.radiance(torch.cat([colours.double(), function.colours]), background=0.27)
+
+
+def fisheye(size: int) -> tuple[Tensor, Tensor]:
+    """Local directions of an equidistant picture of the hemisphere, and where it has any."""
+    ticks = (2 * (torch.arange(size, dtype=torch.float64) + 0.5) / size - 1) * 1.02
+    y, x = torch.meshgrid(-ticks, ticks, indexing="ij")
+    radius = torch.hypot(x, y)
+    angle = radius * math.pi / 2
+    directions = torch.stack([x / radius * angle.sin(), y / radius * angle.sin(), angle.cos()], -1)
+    return directions, radius < 1
+
+
+def signed(values: Tensor, inside: Tensor) -> Tensor:
+    """White where a function is one, blue where it is negative, paper outside."""
+    above, below = values.clamp(0, 1), -4 * values.clamp(max=0)
+    shown = display(torch.stack([above, above, above + below], -1).float(), tone="none")
+    return torch.where(inside[..., None], shown, 1.0)
+
+
+def transfer_functions() -> Tensor:
+    """What a vertex makes of light: as lobes on the model, and as pictures of its hemisphere."""
+    size = 330
+    shadowed, bounced = staged(0), staged(3)
+    plain = bake(stage(), shadows=False, progress=False)
+    shape = stage().objects[0].mesh.positions
+    camera = preview.frame(shape, (0.35, 0.45, 1.0), aspect=1.0)
+    vertex = place_of(shadowed, camera, 0.30, 0.92)
+    lamps = light.project(light.studio(256), 5)
+    colours = display(0.6 * shaded(bounced, lamps), exposure=EXPOSURE)
+    named = {"unshadowed": plain, "shadowed": shadowed, "interreflected": bounced}
+    lobes = [with_lobe(each, vertex, colours, camera, size, 2.2) for each in named.values()]
+    # The frame of the picture: up is away from the camera, as far as the surface allows.
+    normal = shadowed.normals[vertex].double()
+    forward, _, _ = camera.axes()
+    up = torch.nn.functional.normalize(forward - (forward @ normal) * normal, dim=0)
+    frame = torch.stack([torch.linalg.cross(up, normal), up, normal])
+    directions, inside = fisheye(size)
+    tracer = Tracer(shadowed.positions, shadowed.faces)
+    origin = tracer.origins(shadowed.positions[vertex : vertex + 1], normal[None], 0.05)
+    seen = tracer.visibility(origin, frame[None].float(), directions.reshape(-1, 3).float())
+    visible = (seen.view(size, size) != 0).double()
+    cosine = directions[..., 2].clamp(min=0)
+    table = sh.basis(directions @ frame, 5)
+    held = [math.pi * (table @ each.transfer[..., vertex].mean(0).double()) for each in (shadowed, bounced)]
+    maps = [signed(each, inside) for each in (cosine * visible, *held)]
+    below = ["what it sees, times the cosine", "shadowed, in 25 coefficients", "interreflected, in 25 coefficients"]
+    return torch.cat([preview.sheet(lobes, list(named), 3), preview.sheet(maps, below, 3)])
+
+
+def projected() -> Tensor:
+    """An environment and what is left of it by order, plain and under a window; blue is negative."""
+    environment = light.studio(256)
+    height = 110
+    small = torch.nn.functional.interpolate(environment.movedim(-1, 0)[None], (height, 2 * height), mode="area")
+    photograph = small[0].movedim(0, -1)
+    directions = sh.latlong_directions(height, 2 * height, dtype=torch.float32)
+    exposure = -2.6
+
+    def shown(lamps: Tensor) -> Tensor:
+        value = sh.basis(directions, math.isqrt(len(lamps))) @ lamps
+        below = -value.mean(-1, keepdim=True).clamp(max=0)
+        return display(value.clamp(min=0) * (below == 0) + below * torch.tensor([0.1, 0.3, 1.5]), exposure=exposure)
+
+    rows = []
+    for name in ("none", "hann"):
+        pictures, labels = [display(photograph, exposure=exposure)], ["the environment"]
+        for order in (2, 3, 5, 10):
+            lamps = light.project(environment, order)
+            pictures.append(shown(windowed_by(lamps, name)))
+            labels.append(f"order {order}" + (", Hann" if name == "hann" else ""))
+        rows.append(preview.sheet(pictures, labels, 5))
+    return torch.cat(rows)
+
+
+def window() -> Tensor:
+    """The window of `torchprt preview` on the stage, the environment behind and a transfer function picked."""
+    from torchprt.preview.window import Window
+
+    environment = light.studio(512)
+    lights = [preview.Environment("studio", light.project(environment, 5), environment)]
+    session = preview.Session({"stage": staged(0), "stage_bounces": staged(3)}, lights)
+    session.next_bake()
+    session.next_backdrop()
+    session.turn_camera(0.2, -0.05)
+    session.turn_light(-1.1, 0.25)
+    session.zoom(4)
+    session.expose(-0.8)
+    camera = preview.frame(stage().objects[0].mesh.positions, (0.35, 0.45, 1.0), aspect=1.0)
+    session.picked = place_of(staged(0), camera, 0.30, 0.92)
+    opened = Window(preview.check_window(), session, (900, 640), "torchprt", FOLDER, print)
+    for _ in range(4):
+        opened.step()
+    shown = torch.from_numpy(np.asarray(opened.viewer.capture_screen_float_buffer(do_render=True)).copy())
+    opened.close()
+    return shown
+
+
 PICTURES = {
     "turning": turning,
     "transport": transport,
     "bleeding": demo.bleeding,
     "orders": demo.orders,
     "ringing": ringing,
+    "projected": projected,
+    "transfer_functions": transfer_functions,
+    "window": window,
     "teapot": teapot,
     "streaks": streaks,
     "projections": projections,
