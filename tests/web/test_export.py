@@ -20,6 +20,7 @@ from torchprt.errors import InputError
 from torchprt.light import dominant, studio
 from torchprt.preview.environment import Environment
 from torchprt.shade import shader
+from torchprt.transfer import ZonalTransfer
 from torchprt.web import export, samples
 
 EXPORT = importlib.import_module("torchprt.web.export")
@@ -160,6 +161,28 @@ def test_a_compressed_bake_is_shown_beside_the_full_one_or_alone(make_transfer, 
         for name in ("both/compressed.onnx", "alone/model.onnx")
     ]
     np.testing.assert_array_equal(*runs)
+
+
+def test_zonal_lobes_are_shown_in_their_rest_pose(make_transfer, tmp_path, untyped, lamps):
+    plain = make_transfer()
+    generator = torch.Generator().manual_seed(4)
+    lobes = ZonalTransfer(
+        axis=torch.nn.functional.normalize(torch.randn(2, 3, 25, generator=generator), dim=1),
+        coefficients=torch.randn(3, 2, 4, 25, generator=generator),
+        exact=torch.zeros(3, 0, 25),
+        squared_error=torch.zeros(25),
+        albedo=plain.albedo,
+        positions=plain.positions,
+        normals=plain.normals,
+        faces=plain.faces,
+    )
+    export(lobes, tmp_path / "page", environments=lamps, check=False)
+    assert about(tmp_path / "page")["bytes"] == lobes.bytes
+    light = torch.randn(1, 16, 3, generator=generator)
+    feed = {"light": light.numpy(), "rotation": np.eye(3, dtype=np.float32)[None]}
+    (radiance,) = onnxruntime.InferenceSession(tmp_path / "page" / "model.onnx").run(None, feed)
+    expected = shader(lobes)(light)
+    np.testing.assert_allclose(radiance, expected, atol=1e-5 * float(expected.abs().max()))
 
 
 def test_a_closed_surface_is_told_from_an_open_one_across_seams(tmp_path):
