@@ -10,6 +10,7 @@ import torch
 from environments import lamp, save_exr
 from screen import Opened, Screen, missing
 from shapes import square
+from zonal_transfers import random_zonal
 
 import torchprt as prt
 from torchprt.bake import bake
@@ -224,17 +225,36 @@ def test_the_picture_of_the_window_is_saved(window):
 # It ends
 
 
-@pytest.mark.parametrize("how", ["Escape", "cross"])
-def test_it_closes(screen, files, tmp_path, how):
+def test_the_cross_of_the_window_closes_it(screen, files, tmp_path):
     window = opened_on(screen, tmp_path, files, "shadowed")
     try:
-        if how == "cross":
-            window.ask_to_close()
-        else:
-            assert window.press(how) == "closed"
+        window.ask_to_close()
         code, complaints = window.ended()
     finally:
         window.close()
     assert code == 0
     assert "Traceback" not in complaints
     assert "torchprt:" not in complaints
+
+
+def test_space_moves_the_model_and_stops_it_and_escape_closes_the_window(screen, files, tmp_path):
+    prt.save_transfer(random_zonal(side=6, order=4), files / "lobes.safetensors")
+    window = opened_on(screen, tmp_path, files, "lobes")
+    try:
+        before = window.settled()
+        assert window.press("space") == "animation: on"
+        shapes = [before]
+        while len(shapes) < 4:
+            shown = window.picture()
+            if (silhouette(shown) ^ silhouette(shapes[-1])).sum() > 50:
+                shapes.append(shown)
+        assert window.press("space") == "animation: off"
+        window.settled()
+        window.press("r")
+        assert np.array_equal(rest(window.settled()), rest(before))
+        assert window.press("Escape") == "closed"
+        code, complaints = window.ended()
+    finally:
+        window.close()
+    assert code == 0
+    assert "Traceback" not in complaints

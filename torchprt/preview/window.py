@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import time
@@ -70,20 +71,24 @@ def has_display() -> bool:
     wayland = os.environ.get("WAYLAND_DISPLAY")
     if wayland and Path(os.environ.get("XDG_RUNTIME_DIR", "/"), wayland).exists():
         return True
-    if not os.environ.get("DISPLAY"):
-        return False
+    name = os.environ.get("DISPLAY")
+    return bool(name) and _connection(name) is not None
+
+
+@functools.cache
+def _connection(name: str) -> int | None:
+    """A connection to an X server, None if it does not answer.
+
+    It is kept: an X server that loses its last client starts anew, and Open3D, coming meanwhile, would find none.
+    """
     import ctypes
 
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError:
-        return False
+        return None
     x11.XOpenDisplay.restype = ctypes.c_void_p
-    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
-    opened = x11.XOpenDisplay(None)
-    if opened:
-        x11.XCloseDisplay(opened)
-    return bool(opened)
+    return x11.XOpenDisplay(name.encode())
 
 
 class Window:
