@@ -23,7 +23,7 @@ from torchprt.version import VERSION
 
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 # Passes of vector quantisation where others follow.
-_START = 8
+_START = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def clustered_pca(
 
     - "static": vector quantisation, then PCA in every cluster.
     - "iterative": points go to the cluster that approximates them best, not to the one whose mean is nearest, and
-      PCA follows every such pass. Components are added one by one, with `iterations` passes each, and up to ten times
+      PCA follows every such pass. Components are added one by one, with `iterations` passes each, and up to six times
       as many follow at the end. There are twice as many clusters at first; those that are missed least are dropped.
     - "adaptive": then clusters with much error take PCA vectors from those with little. `components` is the mean
       number of weights a point; no cluster has more than `4 * components + 4`.

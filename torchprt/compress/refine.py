@@ -14,9 +14,9 @@ from torchprt.compress.subspaces import Advance, Subspaces, classify, fill_empty
 # Clusters to begin with, in multiples of those to end with; those missed least are dropped in so many steps, with so
 # many passes after each, and at the end up to so many times the passes that a component takes.
 _SURPLUS = 2
-_STEPS = 4
-_STEP_PASSES = 2
-_LAST = 10
+_STEPS = 3
+_STEP_PASSES = 1
+_LAST = 6
 # Less gained by a pass, relative: no further pass.
 _SETTLED = 1e-3
 
