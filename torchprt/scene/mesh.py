@@ -69,8 +69,8 @@ def make_mesh(
 
     `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2]; rows that are not
     finite are missing. They give the tangents, the directions of increasing u. Given `tangents` come first where they
-    are usable. Only the direction of the tangent is taken: where texture coordinates are mirrored, the bitangent is still
-    normal x tangent.
+    are usable. Only the direction of the tangent is taken: where texture coordinates are mirrored, the bitangent is
+    still normal x tangent.
 
     Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
     if a face names a vertex that does not exist, if no face has area, or if something has not a row for every vertex.
