@@ -67,6 +67,7 @@ def run(folder: Path, say: Say = print) -> None:
     say("The sculpture with its light as vertex colours, for any viewer: sculpture.ply")
     _export(transfer, folder / "sculpture.onnx", say)
     _gloss(environment, folder, say)
+    say(f"To turn it with the mouse: torchprt export {folder / 'sculpture.safetensors'} -o page --web")
 
 
 def _gloss(environment: Tensor, folder: Path, say: Say) -> None:
