@@ -183,6 +183,7 @@ def equal_cost() -> Iterator[Table]:
     modules = {"uncompressed": shader(transfer)} | {name: shader(each) for name, each in packed.items()}
     with torch.no_grad():
         frames = {name: functools.partial(module, lights[:1], eye=eye) for name, module in modules.items()}
+        frames["uncompressed, light first"] = functools.partial(_light_first, modules["uncompressed"], lights[0], eye)
         times = time_it(frames, rounds=9)
         seen = {name: module(lights, eye=eye) for name, module in modules.items()}
     table = Table("equal run-time cost, 25 x 25 matrices; a frame: one light, one eye, both new")
@@ -197,6 +198,13 @@ def equal_cost() -> Iterator[Table]:
         else:
             table.add(name, bytes=transfer.bytes, extra=extra)
     yield table
+
+
+def _light_first(module: Any, light: Tensor, eye: Tensor) -> Tensor:
+    """What `GlossyShader` would do if it applied the light before the eye: two products, no diffuse layer."""
+    values = module.values(eye, None).contiguous().unsqueeze(1)
+    _, receivers, rows, columns = module.matrix.shape
+    return torch.bmm(values, (module.matrix.view(-1, columns) @ light).view(receivers, rows, 3))
 
 
 def precision() -> Iterator[Table]:
