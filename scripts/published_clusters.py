@@ -352,9 +352,8 @@ FAMILIES: dict[str, dict[str, list[dict[str, Any]]]] = {
     },
     "diffuse": {
         "adaptive, 256 clusters": sizes((2, 4, 8), method="adaptive"),
-        "two levels, 8-bit weights": sizes((8, 12), clusters=512, shared=24, bits=8),
     },
-    "glossy": {"two levels, 8-bit weights": sizes((8, 16), clusters=512, shared=160, bits=8)},
+    "glossy": {"two levels, 8-bit weights": sizes((8, 12, 16), clusters=256, shared=320, bits=8)},
 }
 
 FIGURES: dict[str, Callable[[], Table]] = {
