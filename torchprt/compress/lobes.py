@@ -64,7 +64,7 @@ def fit_lobes(
 
     Lobes are added one by one where they leave least and refined together. With `faces` or `restarts` they are also
     exchanged, and started anew from the axes of neighbours and so many times from random axes where the error is high:
-    of four lobes on a scan without either, half the time and 1.5 times the error. Sums of so many lobes are
+    of four lobes on a scan without either, a third of the time and 1.5 times the error. Sums of so many lobes are
     found again to rounding if the search gets near them, as it always does for one. Lobes that come to coincide keep
     bounded coefficients; a vector of zeros has zeros. Sizes of the numbers do not matter. Same `seed`, same bits,
     however many threads torch has.
