@@ -27,8 +27,7 @@ from rich.console import Console
 from torch import Tensor
 
 from torchprt import light, preview, sh
-from torchprt.bake import bake
-from torchprt.compress import (
+from torchprt.compression import (
     clustered_pca,
     compress,
     overdraw,
@@ -38,6 +37,7 @@ from torchprt.measure import Table
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, read_mesh, samples
 from torchprt.shade import shader
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer, load, save
+from torchprt.transport import bake
 
 OUT = Path("reproduced")
 MATERIAL, CLUSTERS = "ward:0.2,0.4", 256

@@ -3,7 +3,7 @@
 import torch
 
 from torchprt import sh
-from torchprt.compress import fit_lobes, lobe_coefficients
+from torchprt.compression import fit_lobes, lobe_coefficients
 from torchprt.measure import Table
 
 

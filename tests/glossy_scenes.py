@@ -4,9 +4,9 @@ import torch
 from shapes import disc, square
 
 from torchprt import sh
-from torchprt.bake import bake, hemisphere
-from torchprt.bake.receivers import tangent_frames
 from torchprt.scene import Material, Object, Scene, make_mesh
+from torchprt.transport import bake, hemisphere
+from torchprt.transport.receivers import tangent_frames
 
 
 def quiet(scene, **options):

@@ -18,7 +18,7 @@ from .version import VERSION as __version__
 
 if TYPE_CHECKING:
     from . import brdf as brdf
-    from . import compress as compress
+    from . import compression as compression
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from . import sh as sh
     from . import shade as shade
     from . import transfer as transfer
+    from . import transport as transport
     from . import web as web
-    from .bake import bake as bake
+    from .compression import compress as compress
+    from .transport import bake as bake
 
 _ROOMS = (
-    "bake",
     "brdf",
-    "compress",
+    "compression",
     "light",
     "measure",
     "onnx",
@@ -43,6 +44,7 @@ _ROOMS = (
     "shade",
     "trace",
     "transfer",
+    "transport",
     "web",
 )
 _NAMES = {
@@ -53,6 +55,8 @@ _NAMES = {
     "Points": "scene",
     "samples": "scene",
     "shader": "shade",
+    "bake": "transport",
+    "compress": "compression",
     "DiffuseTransfer": "transfer",
     "load_transfer": "transfer",
     "save_transfer": "transfer",

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from torchprt import light, preview, sh
-from torchprt.bake import bake
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.scene import Material, Scene, samples
 from torchprt.shade import display, shader
 from torchprt.transfer import DiffuseTransfer, Transfer, save
+from torchprt.transport import bake
 
 SIZE = (420, 420)
 EXPOSURE = -1.5

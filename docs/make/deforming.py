@@ -18,14 +18,14 @@ from rich.console import Console
 from torch import Tensor
 
 from torchprt import light, preview, sh
-from torchprt.bake import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle
-from torchprt.bake.patch import texel_centres
-from torchprt.compress import fit
+from torchprt.compression import fit
 from torchprt.measure import Table, relative_rms
 from torchprt.scene import Material, Mesh, Object, Scene, bend, make_mesh, samples, twist
 from torchprt.shade import SkinnedMesh, deformed_frames, lay, sample, shader, surface_frames
 from torchprt.shade.lobes import lobe_vectors
 from torchprt.transfer import DiffuseTransfer, Transfer, ZonalMap, ZonalTransfer, zonal_map
+from torchprt.transport import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle
+from torchprt.transport.patch import texel_centres
 
 FOLDER = Path(__file__).parents[1] / "images"
 ORDER = 6

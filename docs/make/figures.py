@@ -15,12 +15,12 @@ from rich.console import Console
 from torch import Tensor
 
 from torchprt import light
-from torchprt.bake import bake
 from torchprt.brdf import exit_error, parse
 from torchprt.measure import Table, compare_frames, radiance_error, relative_rms
 from torchprt.scene import Material, Points, Scene, samples
 from torchprt.shade import shader
 from torchprt.transfer import DiffuseTransfer
+from torchprt.transport import bake
 
 VERTICES, SAMPLE, REFERENCE_RAYS = 10_000, 400, 1 << 16
 

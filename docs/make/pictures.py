@@ -25,14 +25,14 @@ from PIL import Image
 from torch import Tensor
 
 from torchprt import demo, light, preview, sh
-from torchprt.bake import bake
-from torchprt.compress import compress
+from torchprt.compression import compress
 from torchprt.preview.lobe import sphere
 from torchprt.preview.session import windowed as windowed_by
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
 from torchprt.shade import display, shader
 from torchprt.trace import Tracer
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer
+from torchprt.transport import bake
 
 FOLDER = Path(__file__).parents[1] / "images"
 EXPOSURE = -2.2

@@ -22,15 +22,15 @@ from unittest import mock
 import rich
 import torch
 
-from torchprt.bake import bake, frames, hemisphere
-from torchprt.bake.diffuse import cosine_weights, shadowed
-from torchprt.bake.receivers import Receivers
-from torchprt.bake.solve import vertex_receivers
-from torchprt.bake.workers import Workers, chunks
 from torchprt.measure import Table, relative_rms
 from torchprt.scene import Points, Scene, load, samples
 from torchprt.sh import basis
 from torchprt.trace import Tracer
+from torchprt.transport import bake, frames, hemisphere
+from torchprt.transport.diffuse import cosine_weights, shadowed
+from torchprt.transport.receivers import Receivers
+from torchprt.transport.solve import vertex_receivers
+from torchprt.transport.workers import Workers, chunks
 
 ORDER, RAYS, ROUNDS = 5, 1024, 9
 SAMPLE, REFERENCE_RAYS, RANDOM_SETS = 256, 1 << 16, 8
@@ -148,8 +148,8 @@ def stages(scene: Scene) -> Table:
     """Where the CPU time of a bake on one thread goes."""
     parts = Stages()
     # The package gives the name of this module to the function in it.
-    top = importlib.import_module("torchprt.bake.bake")
-    solve, diffuse = (importlib.import_module(f"torchprt.bake.{name}") for name in ("solve", "diffuse"))
+    top = importlib.import_module("torchprt.transport.bake")
+    solve, diffuse = (importlib.import_module(f"torchprt.transport.{name}") for name in ("solve", "diffuse"))
     watched: list[tuple[type | types.ModuleType, str, str]] = [
         (Scene, "geometry", "scene"),
         (Tracer, "__init__", "Embree's tree"),

@@ -29,8 +29,7 @@ from rich.console import Console
 from torch import Tensor
 
 from torchprt import light, sh
-from torchprt.bake import bake
-from torchprt.compress import (
+from torchprt.compression import (
     clustered_pca,
     compress,
     decompress,
@@ -40,12 +39,13 @@ from torchprt.compress import (
     overdraw,
     superclusters,
 )
-from torchprt.compress.expected_light import Turned
+from torchprt.compression.expected_light import Turned
 from torchprt.light import DamagedImageWarning
 from torchprt.measure import Table, relative_rms, time_it
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, load, read_mesh, samples
 from torchprt.shade import shader
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer
+from torchprt.transport import bake
 
 TURNED: tuple[Turned, ...] = ("any", "yaw")
 MATERIAL, CLUSTERS, COMPONENTS, TURNS = "ward:0.2,0.4", 256, 8, 8

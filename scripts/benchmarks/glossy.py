@@ -20,7 +20,6 @@ from rich.console import Console
 from torch import Tensor
 
 from torchprt import brdf, light, sh
-from torchprt.bake import OrderWarning, bake, hemisphere
 from torchprt.measure import (
     Table,
     compare_frames,
@@ -35,6 +34,7 @@ from torchprt.scene import Material, Mesh, Scene, TangentWarning, load, read_mes
 from torchprt.sh import Projection
 from torchprt.shade import shader, with_material
 from torchprt.transfer import GlossyTransfer
+from torchprt.transport import OrderWarning, bake, hemisphere
 
 ORDER, HIGHEST, RECEIVERS, VIEWS = 5, 10, 150, 150
 MATERIALS = (

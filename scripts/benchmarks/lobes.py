@@ -16,12 +16,12 @@ import torch
 from bake import scene_to_measure
 from scipy.optimize import minimize
 
-from torchprt.bake import bake
-from torchprt.compress import Lobes, fit_lobes, lobe_coefficients
-from torchprt.compress.lobes import edges_of
-from torchprt.compress.single_lobe import hemicube
+from torchprt.compression import Lobes, fit_lobes, lobe_coefficients
+from torchprt.compression.lobes import edges_of
+from torchprt.compression.single_lobe import hemicube
 from torchprt.measure import Table
 from torchprt.sh import zonal
+from torchprt.transport import bake
 
 ORDER, RAYS, SAMPLE = 6, 1024, 12
 PUBLISHED = {1: 0.264, 2: 0.123, 3: 0.045, 4: 0.016}

@@ -23,8 +23,6 @@ import torch
 from bake import RAYS, bare_tracing, scene_to_measure, timed
 from memory import resident, rolling_ground
 
-from torchprt.bake import bake
-from torchprt.bake.solve import vertex_receivers
 from torchprt.light import project as project_light
 from torchprt.light import studio
 from torchprt.measure import Table
@@ -33,6 +31,8 @@ from torchprt.shade import shader
 from torchprt.trace import Tracer
 from torchprt.transfer import load as load_transfer
 from torchprt.transfer import save
+from torchprt.transport import bake
+from torchprt.transport.solve import vertex_receivers
 
 ORDER, ROUNDS, LIMIT = 5, 5, 4 * 2**30
 GLOSS = "ggx:0.3"

@@ -2,7 +2,7 @@
 
     python scripts/benchmarks/memory.py
 
-Each bake runs in a process of its own. "formula" adds up what the docstring of `torchprt.bake.bake` counts
+Each bake runs in a process of its own. "formula" adds up what the docstring of `torchprt.transport.bake` counts
 (scene, tree, result, threads), with Embree's tree as measured; "grown" is what the bake added at its peak to what was
 there "before": the interpreter, torch and the mesh. Between them stand what torch loads when first used (some 30 MiB)
 and copies that live for a moment.
@@ -21,11 +21,11 @@ import rich
 import torch
 from rich.console import Console
 
-from torchprt.bake import bake
-from torchprt.bake.workers import CHUNK
 from torchprt.measure import Table
 from torchprt.scene import Mesh, load, make_mesh
 from torchprt.trace import Tracer
+from torchprt.transport import bake
+from torchprt.transport.workers import CHUNK
 
 ORDER, LIMIT = 5, 8 * 2**30
 SIZES, RAYS = (8_000, 50_000, 200_000), (64, 1024)

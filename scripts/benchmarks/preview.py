@@ -20,13 +20,13 @@ import rich
 import torch
 
 from torchprt import light, load_transfer, preview
-from torchprt.bake import bake
 from torchprt.errors import InputError
 from torchprt.measure import Table, time_it
 from torchprt.preview.drawing import Drawing
 from torchprt.scene import samples
 from torchprt.shade import shader
 from torchprt.transfer import Transfer
+from torchprt.transport import bake
 
 VERTICES, ORDER, RAYS = 35_000, 5, 64
 MOST_SHADE, MOST_STILL = 5e-3, 2.0

@@ -37,9 +37,9 @@ def test_stopped_it_writes_nothing(run, folder, tmp_path, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    import torchprt.compress
+    import torchprt.compression
 
-    monkeypatch.setattr(torchprt.compress, "fit", stop)
+    monkeypatch.setattr(torchprt.compression, "fit", stop)
     ended = run("fit", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors")
     assert ended.code == 130
     assert "nothing is written" in ended.err

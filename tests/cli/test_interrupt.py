@@ -88,7 +88,7 @@ def test_the_same_command_goes_on_to_the_same_bits(how, dunes, tmp_path):
 
 def test_chunks_of_another_command_are_told_of_and_not_used(run, folder, tmp_path, monkeypatch, recwarn):
     """The warning is one line of the command, without the place in the code that warned."""
-    from torchprt.bake.checkpoint import Checkpoint
+    from torchprt.transport.checkpoint import Checkpoint
 
     output = tmp_path / "a.safetensors"
     Checkpoint(tmp_path / "a.safetensors.partial", "of another bake").save(0, {"x": torch.ones(1)})
@@ -109,7 +109,7 @@ def test_a_stop_before_anything_was_kept_promises_nothing(options, run, folder, 
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("torchprt.bake"), "bake", stopped)
+    monkeypatch.setattr(importlib.import_module("torchprt.transport"), "bake", stopped)
     ended = run("bake", folder / "ball.ply", "-o", tmp_path / "a.safetensors", *options)
     assert ended.code == 130
     assert ended.err.splitlines() == ["torchprt: stopped"]

@@ -44,7 +44,7 @@ def read(terminal, until, process=None):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals and terminals")
 def test_the_same_command_goes_on_to_the_same_bits(make_transfer, tmp_path):
-    from torchprt.compress import compress
+    from torchprt.compression import compress
 
     transfer = make_transfer(side=120, order=5)
     save(transfer, tmp_path / "whole.safetensors")
@@ -85,7 +85,7 @@ def test_a_stop_before_anything_was_kept_promises_nothing(run, folder, tmp_path,
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("torchprt.compress"), "compress", stopped)
+    monkeypatch.setattr(importlib.import_module("torchprt.compression"), "compress", stopped)
     ended = run("compress", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors")
     assert ended.code == 130
     assert ended.err.splitlines() == ["torchprt: stopped"]
@@ -102,7 +102,7 @@ def test_chunks_of_a_bake_of_the_same_name_are_left_as_they_are(refused, folder,
 
 
 def test_clusters_of_another_command_are_told_of_and_not_used(run, folder, tmp_path, monkeypatch):
-    from torchprt.compress.checkpoint import Checkpoint
+    from torchprt.compression.checkpoint import Checkpoint
 
     with Checkpoint(tmp_path / "a.safetensors.partial", [torch.ones(3)], keep=True) as store:
         store.put("clusters", {"label": torch.ones(3)})

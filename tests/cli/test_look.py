@@ -112,7 +112,7 @@ def test_every_kind_of_bake_is_rendered(done, make_transfer, tmp_path, kind):
     if kind == "zonal":
         transfer = random_zonal(side=4, order=4)
     elif kind == "clustered":
-        transfer = prt.compress.compress(flat, clusters=2, components=1)
+        transfer = prt.compress(flat, clusters=2, components=1)
     else:
         transfer = random_glossy(kind, vertices=16, glossy=9)
         transfer.positions, transfer.faces = flat.positions, flat.faces

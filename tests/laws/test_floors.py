@@ -10,11 +10,11 @@ import torchprt
 
 PACKAGE = Path(torchprt.__file__).parent
 FLOORS = {
-    "errors": -1, "version": -1, "verb": -1, "files": 0, "progress": 0, "checkpoint": 0,
+    "errors": -1, "version": -1, "files": 0, "progress": 0, "checkpoint": 0,
     "sh": 1, "transfer": 1,
-    "light": 2, "brdf": 2, "compress": 2, "trace": 2,
+    "light": 2, "brdf": 2, "compression": 2, "trace": 2,
     "scene": 3, "shade": 3,
-    "bake": 4, "onnx": 4, "preview": 4,
+    "transport": 4, "onnx": 4, "preview": 4,
     "measure": 5, "web": 5, "demo": 5,
     "cli": 6, "__main__": 7,
 }  # fmt: skip
@@ -49,14 +49,14 @@ def rooms(source: str, package: str) -> set[str]:
 @pytest.mark.parametrize(
     ("line", "room"),
     [
-        ("import torchprt.bake", "bake"),
-        ("from torchprt import bake", "bake"),
-        ("from torchprt.bake.bake import bake", "bake"),
-        ("from ..bake import bake", "bake"),
-        ("from .. import bake", "bake"),
+        ("import torchprt.transport", "transport"),
+        ("from torchprt import transport", "transport"),
+        ("from torchprt.transport.bake import bake", "transport"),
+        ("from ..transport import bake", "transport"),
+        ("from .. import transport", "transport"),
         ("from . import basis", "sh"),
         ("from .basis import basis", "sh"),
-        ("def late():\n    from torchprt.bake import bake", "bake"),
+        ("def late():\n    from torchprt.transport import bake", "transport"),
     ],
 )
 def test_finds_every_way_to_import_a_room(line, room):

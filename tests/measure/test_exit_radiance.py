@@ -8,11 +8,11 @@ from shapes import square
 from transfers import KINDS, random_glossy
 
 from torchprt import brdf, sh
-from torchprt.bake import bake, hemisphere
 from torchprt.errors import InputError
 from torchprt.measure import exit_radiance, exit_radiance_by_brute_force, random_lights, relative_rms
 from torchprt.scene import Material, Object, Scene, load, make_mesh, samples
 from torchprt.shade import shader
+from torchprt.transport import bake, hemisphere
 
 EPS = torch.finfo(torch.float64).eps
 UP = torch.tensor([[0.0, 0, 1]], dtype=torch.float64)

@@ -7,13 +7,13 @@ import torch
 from shapes import square
 from transfers import KINDS, random_glossy
 
-from torchprt.bake import OrderWarning, bake
 from torchprt.errors import InputError
 from torchprt.measure import sample_receivers, sample_transfer
 from torchprt.scene import Material, Object, Scene, load, make_mesh, samples
 from torchprt.shade import shader
+from torchprt.transport import OrderWarning, bake
 
-pytestmark = pytest.mark.filterwarnings("ignore::torchprt.bake.OrderWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::torchprt.transport.OrderWarning")
 
 
 def shiny(gloss="phong:10", **options):

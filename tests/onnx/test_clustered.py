@@ -6,7 +6,7 @@ import pytest
 import torch
 from transfers import KINDS, random_glossy
 
-from torchprt.compress import compress
+from torchprt.compression import compress
 from torchprt.onnx import describe, export
 from torchprt.shade import shader
 

@@ -59,9 +59,9 @@ corners, face = numpy.array([[0.0, 0, 0], [1, 0, 0], [0, 0, -1]]), numpy.array([
 scene = prt.Scene([prt.Object(prt.scene.make_mesh(corners, face))])
 options = {"rays": 4, "order": 2, "progress": False}
 before = prt.bake(scene, **options).transfer
-import torchprt.bake
+import torchprt.transport
 after = prt.bake(scene, **options).transfer
-from torchprt.bake import bake
+from torchprt.transport import bake
 named = bake(scene, **options).transfer
 print(bool((before == after).all()), bool((before == named).all()))
 """

@@ -11,11 +11,11 @@ import pytest
 import torch
 from path_tracer import arriving, positive_light, scene, variant
 
-from torchprt.bake import bake, frames, hemisphere
-from torchprt.bake.solve import vertex_receivers
 from torchprt.scene import load
 from torchprt.shade import shader
 from torchprt.trace import Tracer
+from torchprt.transport import bake, frames, hemisphere
+from torchprt.transport.solve import vertex_receivers
 
 mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
 ALBEDO = (0.6, 0.5, 0.4)

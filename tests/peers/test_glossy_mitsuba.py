@@ -13,11 +13,11 @@ import torch
 from shapes import bowl
 
 from torchprt import sh
-from torchprt.bake import bake, frames, hemisphere
-from torchprt.bake.solve import vertex_receivers
 from torchprt.scene import load
 from torchprt.shade import shader
 from torchprt.trace import Tracer
+from torchprt.transport import bake, frames, hemisphere
+from torchprt.transport.solve import vertex_receivers
 
 mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
 VERTICES, DIRECTIONS, EYES = 150, 4096, 8

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from torchprt import demo
-from torchprt.bake import bake
 from torchprt.errors import InputError
 from torchprt.light import read
 from torchprt.scene import samples
 from torchprt.transfer import load
+from torchprt.transport import bake
 
 
 @pytest.fixture

@@ -97,7 +97,7 @@ def test_the_transfer_function_of_a_diffuse_vertex_is_what_each_coefficient_give
     make_transfer, albedo, channels, packed
 ):
     transfer = make_transfer(order=ORDER, albedo=albedo, channels=channels)
-    module = shader(compress.compress(transfer, clusters=2, components=2) if packed else transfer)
+    module = shader(compress(transfer, clusters=2, components=2) if packed else transfer)
     (eye,) = eyes(1)
     for vertex in (0, 11, 24):
         close(Relight(module).transfer_of(vertex, eye), by_definition(module, vertex))

@@ -8,14 +8,14 @@ from shapes import square
 from zonal_transfers import random_zonal
 
 from torchprt import light, sh
-from torchprt.bake import bake
-from torchprt.compress import compress, decompress
+from torchprt.compression import compress, decompress
 from torchprt.errors import InputError
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
 from torchprt.preview.session import BACKDROPS, LOBE, MODES, WINDOWS, windowed
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import display, shader
+from torchprt.transport import bake
 
 ORDER = 4
 EPS = torch.finfo(torch.float32).eps

@@ -13,10 +13,10 @@ from shapes import square
 from zonal_transfers import random_zonal
 
 import torchprt as prt
-from torchprt.bake import bake
 from torchprt.preview import Orbit, Still, automatic_exposure
 from torchprt.scene import Material, Object, Scene, make_mesh
 from torchprt.shade import display, shader
+from torchprt.transport import bake
 
 SIZE = (480, 400)
 # The panel of text hides this corner of the picture.

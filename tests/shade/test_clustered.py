@@ -6,7 +6,7 @@ import pytest
 import torch
 from transfers import KINDS, random_glossy
 
-from torchprt.compress import compress, decompress
+from torchprt.compression import compress, decompress
 from torchprt.errors import InputError
 from torchprt.sh import yaw_pitch_roll
 from torchprt.shade import ClusteredShader, shader

@@ -9,7 +9,7 @@ from torch.nn.functional import normalize
 from zonal_transfers import by_definition, random_zonal, turns, vectors_by_definition
 
 from torchprt import sh
-from torchprt.compress import fit_lobes
+from torchprt.compression import fit_lobes
 from torchprt.errors import InputError
 from torchprt.shade import DeformableShader, EnvironmentShader, deformed_frames, shader
 from torchprt.transfer import DiffuseTransfer

@@ -7,9 +7,9 @@ import torch
 from shapes import disc, square
 
 from torchprt import brdf, sh
-from torchprt.bake import bake
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import shader, with_material
+from torchprt.transport import bake
 
 ORDER, ALBEDO, SPECULAR = 3, 0.3, 0.5
 GLOSS = brdf.Phong(6)

@@ -6,9 +6,9 @@ import pytest
 import torch
 from shapes import square
 
-from torchprt.bake import frames, hemisphere
 from torchprt.errors import InputError
 from torchprt.trace import Tracer
+from torchprt.transport import frames, hemisphere
 
 SIDE = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 0, -1]], dtype=torch.float64)
 

@@ -13,7 +13,7 @@ import pytest
 from jaxtyping import config
 
 from torchprt import bake, web
-from torchprt.compress import compress
+from torchprt.compression import compress
 from torchprt.errors import InputError
 from torchprt.scene import Material, samples
 from torchprt.transfer import DiffuseTransfer, GlossyTransfer, save

@@ -15,7 +15,7 @@ import trimesh
 from transfers import random_glossy
 
 from torchprt import onnx, sh
-from torchprt.compress import compress
+from torchprt.compression import compress
 from torchprt.errors import InputError
 from torchprt.light import dominant, studio
 from torchprt.preview.environment import Environment

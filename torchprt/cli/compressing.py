@@ -55,9 +55,9 @@ def compress(
 
     Stopped with Ctrl-C, the same command goes on.
     """
-    from torchprt import compress as room
+    from torchprt import compression as room
     from torchprt import transfer as kinds
-    from torchprt.bake.progress import Bar
+    from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
     chosen = options.choice(method, "--method", METHODS)
@@ -125,7 +125,7 @@ def expected(text: str, transfer: Transfer) -> Tensor:
     """The importance over the numbers of one receiver: of the spectrum of natural light, or of files of lights."""
     import torch
 
-    from torchprt.compress import light_importance, natural_light_importance
+    from torchprt.compression import light_importance, natural_light_importance
     from torchprt.transfer import DiffuseTransfer, FactoredTransfer, GlossyTransfer, IncidentTransfer
 
     if isinstance(transfer, DiffuseTransfer):

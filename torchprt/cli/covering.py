@@ -37,10 +37,10 @@ def patch(
     threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
 ) -> None:
     """Bake a small relief into a map of zonal lobes that any surface can be covered with."""
-    from torchprt.bake import bake_patch
-    from torchprt.bake.progress import Bar
     from torchprt.scene import height_field, read_heights, read_mesh
     from torchprt.transfer import save_map
+    from torchprt.transport import bake_patch
+    from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
     count, colour = options.bounces(bounces), options.albedo(albedo)

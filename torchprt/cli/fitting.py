@@ -25,9 +25,9 @@ def fit(
     seed: Annotated[int, typer.Option(min=0, help="Of random axes.")] = 0,
 ) -> None:
     """Fit zonal lobes to a bake: transfer that turns with a surface that bends."""
-    from torchprt import compress as room
+    from torchprt import compression as room
     from torchprt import transfer as kinds
-    from torchprt.bake.progress import Bar
+    from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
     loaded = kinds.load(transfer)

@@ -85,8 +85,8 @@ def details(transfer: Transfer) -> list[str]:
 
 def _clusters(transfer: CompressedTransfer) -> list[str]:
     """What compression cost and how often triangles are drawn."""
-    from torchprt.compress import overdraw
-    from torchprt.compress.transfer import receiver_faces
+    from torchprt.compression import overdraw
+    from torchprt.compression.transfer import receiver_faces
 
     about = f"{len(transfer.mean)} clusters ({transfer.method}), {len(transfer.basis) / len(transfer.mean):.3g} PCA"
     about += f" vectors each, compression error {transfer.compression_error or 0:.2%} (relative RMS)"

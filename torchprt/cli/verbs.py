@@ -87,7 +87,7 @@ def bake(
     import torch
 
     import torchprt as prt
-    from torchprt.bake import bake as baked
+    from torchprt.transport import bake as baked
 
     check_writable(output, (".safetensors",))
     count, colour, few = options.bounces(bounces), options.albedo(albedo), options.factors(factors)

@@ -8,9 +8,6 @@ import torch
 from jaxtyping import Float, Float64, Int
 from torch import Tensor
 
-from torchprt.bake import hemisphere
-from torchprt.bake.receivers import tangent_frames
-from torchprt.bake.solve import vertex_receivers
 from torchprt.brdf import Brdf
 from torchprt.errors import InputError
 from torchprt.measure.sample import check_chosen
@@ -18,6 +15,9 @@ from torchprt.scene import Scene
 from torchprt.sh import basis, check_directions, least_window, order_of, rotate
 from torchprt.shade import ViewShader
 from torchprt.trace import Tracer
+from torchprt.transport import hemisphere
+from torchprt.transport.receivers import tangent_frames
+from torchprt.transport.solve import vertex_receivers
 
 # Numbers that an integrand takes at a time.
 _BLOCK = 1 << 22

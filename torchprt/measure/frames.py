@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.bake import OrderWarning, bake, hemisphere
 from torchprt.errors import InputError
 from torchprt.measure.error import relative_rms
 from torchprt.measure.exit_radiance import exit_radiance, exit_radiance_by_brute_force, random_lights
@@ -21,6 +20,7 @@ from torchprt.scene import Scene
 from torchprt.sh import order_of
 from torchprt.shade import Shader, ViewShader, shader
 from torchprt.transfer import DiffuseTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transport import OrderWarning, bake, hemisphere
 
 _REFERENCE_RAYS = 1 << 14
 

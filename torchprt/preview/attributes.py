@@ -7,7 +7,7 @@ import os
 import torch
 from torch import Tensor
 
-from torchprt.compress import decompress
+from torchprt.compression import decompress
 from torchprt.errors import InputError
 from torchprt.preview.glb import save_glb
 from torchprt.transfer import DiffuseTransfer

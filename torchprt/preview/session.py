@@ -290,7 +290,7 @@ class Session:
         return self.packed or self._compress(self.bake)
 
     def _compress(self, name: str) -> str:
-        from torchprt.compress import compress
+        from torchprt.compression import compress
 
         made, bake = f"{name}, compressed here", self._all[name]
         if made not in self._all:

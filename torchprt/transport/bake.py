@@ -1,0 +1,263 @@
+"""From a scene to its transfer."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchprt.checkpoint import fingerprint
+from torchprt.errors import InputError
+from torchprt.progress import Report, Silent
+from torchprt.scene import Geometry, Points, Scene
+from torchprt.sh import Projection
+from torchprt.trace import Tracer
+from torchprt.transfer import BakedTransfer, DiffuseTransfer
+from torchprt.transport import bake_glossy, result
+from torchprt.transport.bake_glossy import Frame, Wanted
+from torchprt.transport.checkpoint import Checkpoint
+from torchprt.transport.diffuse import unshadowed
+from torchprt.transport.directions import hemisphere
+from torchprt.transport.estimate import error_and_signal
+from torchprt.transport.membrane import sheets
+from torchprt.transport.progress import Bar
+from torchprt.transport.receivers import Receivers
+from torchprt.transport.solve import (
+    Job,
+    Solution,
+    every_chunk,
+    exit_radiance,
+    gathered,
+    solve,
+    surfaces,
+    trace,
+    vertex_receivers,
+)
+from torchprt.transport.workers import CHUNK, Workers, chunks
+from torchprt.version import VERSION
+
+
+def bake(
+    scene: Scene,
+    *,
+    order: int = 5,
+    rays: int = 1024,
+    bounces: int | float = 0,
+    shadows: bool = True,
+    receivers: Points | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    keep: bool = False,
+    progress: bool | Report = True,
+    frame: Frame = "exit",
+    output_order: int | None = None,
+    projection: Projection = "optimal",
+    factors: int | float | None = None,
+    visibility_order: int | None = None,
+) -> BakedTransfer:
+    """Transfer of a scene: `DiffuseTransfer`, or where a material is glossy one of the kinds of glossy transfer.
+
+    - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
+      rays take four times the time for a third of the error.
+    - `bounces`: 0 for shadows alone, a count, or `math.inf` to follow light until a bounce adds less than 1e-4 of
+      the transfer. `shadows=False` gives the closed form without any ray.
+    - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
+    - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
+      unless it is to `keep` it (until the result is safe on disk, say).
+    - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
+
+    For glossy materials:
+    - `frame`: "exit" (the BRDF baked in: `GlossyTransfer`), "incident" (the BRDF chosen at run time:
+      `IncidentTransfer`) or "visibility" (a vector instead of a matrix, multiplied with the light at run time:
+      `VisibilityTransfer`; one material, no bounces).
+    - `output_order` (that of the light by default): bands of exit radiance, or of incident radiance. More of them hold
+      narrower lobes; `OrderWarning` tells when the material needs more, `exit_error` of the result how well they do.
+    - `projection` of exit radiance on the hemisphere, see `sh.exit_functions`.
+    - `factors`: a number of view factors in place of exit functions, or (a float) the error that they may leave:
+      `FactoredTransfer`; one material.
+    - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
+    Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
+
+    Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
+    `threads` and after any interruption; a receiver that nothing blocks has exactly the unshadowed transfer; the
+    result does not depend on the scale of the scene or on its distance from the origin.
+    The error estimate comes from a spread of receivers traced again with 8 times the rays.
+    Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces),
+    some 550 V of copies that live for a moment and `224 N rays` of the basis along the directions of the estimate;
+    and, a thread, `72 max(2^16, 8 rays)` of rays and `512 (8 N + 36)` of results, with bounces at most
+    `24 * 512 * rays` more for the hits of a chunk. The hits of all others wait on disk (in the checkpoint, or in the
+    system's temporary folder): at most 24 bytes a blocked ray.
+    Matrices add `4 G M N C` bytes (twice that while the result is put together, six times with bounces) and
+    `36 M N rays` for the products along the directions of the estimate; a thread `4 * 512 M N` of results, with
+    bounces `4 N C max(2^16, rays)` of what arrives.
+
+    Raises InputError if an argument is out of range, does not fit the scene, or the checkpoint folder cannot be used;
+    KeyboardInterrupt after the chunks that are being traced are finished and kept.
+    Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
+    """
+    _check(order, rays, bounces, shadows, seed, threads)
+    geometry = scene.geometry()
+    membranes = sheets(geometry)
+    wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
+    is_glossy = scene.requires(bounces).kind == "glossy"
+    if is_glossy:
+        bake_glossy.check(wanted, geometry, bounces)
+    elif wanted != Wanted("exit", order, "optimal", None, order):
+        raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
+    if not shadows:
+        if is_glossy and receivers is None:
+            return bake_glossy.bake_unshadowed(geometry, wanted, order, membranes)
+        normals = geometry.receiver_normals if receivers is None else receivers.normals
+        vectors = unshadowed(normals, order)
+        if membranes is not None and receivers is None:
+            vectors = membranes.through(vectors.T).T
+        return result.diffuse(geometry, receivers, vectors[None], transport="unshadowed")
+    tracer = Tracer(geometry.positions, geometry.faces)
+    channels = scene.requires(bounces).channels
+    job = Job(tracer, surfaces(geometry), vertex_receivers(geometry, tracer), order, rays, seed, channels, membranes)
+    folder = None if checkpoint is None else Path(checkpoint)
+    with contextlib.ExitStack() as stack:
+        report: Report = progress if not isinstance(progress, bool) else Silent()
+        if progress is True:
+            report = stack.enter_context(Bar())
+        workers = stack.enter_context(Workers(threads or os.cpu_count() or 1))
+        store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        baked: BakedTransfer
+        if is_glossy and receivers is None:
+            baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, store, workers, report)
+        else:
+            baked = _diffuse(job, geometry, receivers, wanted, bounces, store, workers, report)
+        if store is not None and not keep:
+            store.discard()
+    return baked
+
+
+def _diffuse(
+    job: Job,
+    geometry: Geometry,
+    receivers: Points | None,
+    wanted: Wanted,
+    bounces: int | float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> DiffuseTransfer:
+    if receivers is None:
+        solution = solve(job, geometry.albedo, bounces, store, workers, report)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+    elif bounces and len(geometry.glossy):
+        origins = job.tracer.origins(receivers.positions, receivers.normals)
+        points = Receivers(receivers.positions, receivers.normals, origins)
+        transfer, count = bake_glossy.bake_points(job, points, geometry, wanted, bounces, store, workers, report)
+        solution, error, signal = Solution(transfer, transfer, None, count), None, None
+    else:
+        job, solution = _at_points(job, receivers, geometry.albedo, bounces, store, workers, report)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+    return result.diffuse(
+        geometry,
+        receivers,
+        solution.transfer,
+        transport="interreflected" if solution.bounces else "shadowed",
+        bounces=solution.bounces,
+        rays=job.rays,
+        seed=job.seed,
+        error=error,
+        signal=signal,
+    )
+
+
+def _check(order: int, rays: int, bounces: int | float, shadows: bool, seed: int, threads: int | None) -> None:
+    if not 1 <= order <= 64:
+        raise InputError(f"order is {order}: give a number from 1 to 64")
+    if not 1 <= rays <= 1 << 22:
+        raise InputError(f"rays is {rays}: give a number from 1 to {1 << 22}")
+    if not bounces >= 0 or (bounces != math.inf and bounces != int(bounces)):
+        raise InputError(f"bounces is {bounces}: give 0, a whole number or infinity")
+    if bounces and not shadows:
+        raise InputError("bounces need shadows: leave one of the two options out")
+    if seed < 0:
+        raise InputError(f"seed is {seed}: give a number from 0")
+    if threads is not None and threads < 1:
+        raise InputError(f"threads is {threads}: give at least 1")
+
+
+def _at_points(
+    job: Job,
+    points: Points,
+    albedo: Tensor,
+    bounces: int | float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> tuple[Job, Solution]:
+    """Transfer at points: all bounces but the last run over the vertices, the last gathers to the points."""
+    origins = job.tracer.origins(points.positions, points.normals)
+    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins))
+    if not bounces:
+        transfer = trace(here, store, workers, report, keep_hits=False)[None]
+        return here, Solution(transfer, transfer)
+    assert store is not None
+    over_vertices = solve(job, albedo, bounces - 1, store, workers, report)
+    exitant = exit_radiance(over_vertices.transfer.expand(job.channels, -1, -1), albedo)
+    directions, project = here.directions()
+    everything = chunks(len(here.receivers))
+    transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
+
+    def one(index: int) -> dict[str, Tensor]:
+        return {"transfer": gathered(here, everything[index], exitant, directions, project)}
+
+    def take(index: int, contents: dict[str, Tensor]) -> None:
+        transfer[:, :, everything[index]] = contents["transfer"]
+
+    # The store numbers the chunks of the points after those of the vertices.
+    first = len(chunks(len(job.receivers)))
+    every_chunk(len(here.receivers), job.rays, one, take, store, workers, report, stage="points", first=first)
+    return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1)
+
+
+@contextlib.contextmanager
+def _store(
+    folder: Path | None,
+    job: Job,
+    geometry: Geometry,
+    points: Points | None,
+    bounces: int | float,
+    wanted: Wanted | None,
+) -> Iterator[Checkpoint | None]:
+    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
+    if folder is None and not bounces:
+        yield None
+        return
+    contents = [geometry.positions, geometry.faces, geometry.receiver_positions, geometry.receiver_normals]
+    contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex]
+    parameters: dict[str, Any] = {
+        "order": job.order,
+        "rays": job.rays,
+        "seed": job.seed,
+        "hits": bounces > 0,
+        "chunk": CHUNK,
+        "version": VERSION,
+    }
+    if wanted is not None:
+        contents += [geometry.glossy, geometry.gloss_of_glossy, geometry.tangents]
+        parameters["glossy"] = repr(wanted)
+        # The values, not the text: tables have no text of their own.
+        probes = hemisphere(64)
+        contents += [brdf(probes[:, None], probes) for brdf in geometry.gloss]
+    if points is not None:
+        # What the points gather has bounced already; elsewhere bounces and albedo enter after tracing.
+        contents += [points.positions, points.normals, geometry.albedo]
+        parameters["bounces"] = bounces
+    store = Checkpoint(folder, fingerprint(contents, parameters))
+    try:
+        yield store
+    finally:
+        store.close()

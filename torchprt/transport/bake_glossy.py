@@ -1,0 +1,242 @@
+"""From a scene with glossy materials to its transfer."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchprt.brdf import exit_error, factor
+from torchprt.errors import InputError
+from torchprt.progress import Report
+from torchprt.scene import Geometry
+from torchprt.sh import Projection, exit_count
+from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transport import result
+from torchprt.transport.checkpoint import Checkpoint
+from torchprt.transport.diffuse import unshadowed
+from torchprt.transport.directions import hemisphere
+from torchprt.transport.estimate import glossy_error_and_signal
+from torchprt.transport.glossy import glossy
+from torchprt.transport.membrane import Sheets
+from torchprt.transport.receivers import Receivers, tangent_frames
+from torchprt.transport.rows import Recording
+from torchprt.transport.solve import Job, channels_first, every_chunk
+from torchprt.transport.solve_glossy import GlossyJob, exitant, record, solve
+from torchprt.transport.visibility import on_the_fly, product_error
+from torchprt.transport.workers import Workers, chunks
+from torchprt.version import VERSION
+
+Frame = Literal["exit", "incident", "visibility"]
+
+# Exit radiance that an order represents worse than this (relative RMS) is warned of.
+COARSE = 0.1
+
+
+class OrderWarning(UserWarning):
+    """The exit functions are too few for a material."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What a caller wants of glossy receivers: arguments of `bake`."""
+
+    frame: Frame
+    output_order: int
+    projection: Projection
+    factors: int | float | None
+    visibility_order: int
+
+
+def check(wanted: Wanted, geometry: Geometry, bounces: int | float) -> None:
+    """Raises InputError if the arguments of `bake` for glossy receivers do not fit each other or the scene."""
+    exit_count(wanted.output_order, wanted.projection)
+    for name, order in (("output_order", wanted.output_order), ("visibility_order", wanted.visibility_order)):
+        if not 1 <= order <= 32:
+            raise InputError(f"{name} is {order}: give a number from 1 to 32")
+    if wanted.frame not in ("exit", "incident", "visibility"):
+        raise InputError(f"frame '{wanted.frame}' is unknown: give 'exit', 'incident' or 'visibility'")
+    if wanted.factors is not None and wanted.frame != "exit":
+        raise InputError(f"factors go with the frame 'exit', not '{wanted.frame}': leave one of the two out")
+    one = "factors" if wanted.factors is not None else "frame 'visibility'" if wanted.frame == "visibility" else ""
+    if one and len(geometry.gloss) > 1:
+        raise InputError(f"{one} takes one glossy material but the scene has {len(geometry.gloss)}: bake them apart")
+    if wanted.frame == "visibility" and bounces:
+        raise InputError("frame 'visibility' holds shadows alone: leave the bounces out, or bake matrices")
+
+
+def warn_of_order(wanted: Wanted, geometry: Geometry, order: int, bounces: int | float = 0) -> float | None:
+    """The largest `exit_error` of the scene's materials; warns if one is coarse. None where no exit function is used,
+    neither for what is recorded nor for surfaces that are hit."""
+    if not bounces and (wanted.frame == "incident" or wanted.factors is not None):
+        return None
+    worst = 0.0
+    for brdf in geometry.gloss:
+        error = exit_error(brdf, wanted.output_order, order, wanted.projection)
+        worst = max(worst, error)
+        if error > COARSE:
+            warnings.warn(
+                f"output order {wanted.output_order} cannot hold the material {brdf.spec}: exit radiance errs by "
+                f"{error:.0%} (relative RMS, unshadowed, white light of order {order}); raise the output order"
+                f"{'' if wanted.projection == 'optimal' else ' or use the optimal projection'}",
+                OrderWarning,
+                stacklevel=4,
+            )
+    return worst
+
+
+def recording_of(wanted: Wanted, geometry: Geometry, order: int) -> Recording:
+    """What glossy receivers record for lights of `order`."""
+    if wanted.frame == "visibility":
+        return Recording("visibility", order, wanted.visibility_order)
+    if wanted.factors is not None:
+        count = {"rows": wanted.factors} if isinstance(wanted.factors, int) else {"error": wanted.factors}
+        chosen = factor(geometry.gloss[0], light_order=order, **count)
+        return Recording("factored", order, wanted.output_order, factors=chosen)
+    return Recording(wanted.frame, order, wanted.output_order, wanted.projection)
+
+
+def job_of(job: Job, geometry: Geometry, recording: Recording) -> GlossyJob:
+    """The job of all receivers, told which of them are glossy and what they record."""
+    tangents = torch.zeros_like(job.receivers.normals)
+    tangents[geometry.glossy] = geometry.tangents.to(tangents.dtype)
+    receivers = dataclasses.replace(job.receivers, tangents=tangents)
+    everything = glossy(receivers, geometry.glossy, geometry.tangents, geometry.gloss_of_glossy, geometry.gloss)
+    job = dataclasses.replace(job, receivers=receivers)
+    return GlossyJob(job, everything, recording, geometry.albedo, geometry.specular)
+
+
+def bake_vertices(
+    job: Job,
+    geometry: Geometry,
+    wanted: Wanted,
+    bounces: int | float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+    """Transfer at the vertices of a scene that has glossy ones."""
+    worst = warn_of_order(wanted, geometry, job.order, bounces)
+    task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
+    solution = solve(task, bounces, store, workers, report)
+    error, signal = glossy_error_and_signal(task, solution, workers, report)
+    transfer = _transfer(
+        geometry,
+        wanted,
+        task.recording,
+        channels_first(job.through(solution.arrived.diffuse), job.channels),
+        solution.arrived.matrix,
+        worst,
+        transport="interreflected" if solution.bounces else "shadowed",
+        bounces=solution.bounces,
+        rays=job.rays,
+        seed=job.seed,
+        error=error,
+        signal=signal,
+    )
+    if isinstance(transfer, VisibilityTransfer):
+        transfer.product_error = product_error(
+            task, solution.arrived.matrix[..., 0], transfer.degree, wanted.output_order, wanted.projection
+        )
+    return transfer
+
+
+def bake_unshadowed(
+    geometry: Geometry, wanted: Wanted, order: int, sheets: Sheets | None
+) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+    """The closed form at the vertices of a scene that has glossy ones."""
+    worst = warn_of_order(wanted, geometry, order)
+    normals = geometry.receiver_normals
+    recording = recording_of(wanted, geometry, order)
+    matrix = torch.empty(len(geometry.glossy), recording.count, recording.columns)
+    turned = tangent_frames(normals[geometry.glossy], geometry.tangents).to(torch.float32)
+    # The sum over any set of directions is the closed form.
+    directions = hemisphere(64)
+    for index, brdf in enumerate(geometry.gloss):
+        rows = recording.rows(brdf, directions)
+        for some in torch.nonzero(geometry.gloss_of_glossy == index)[:, 0].split(1 << 12):
+            matrix[some] = rows.unshadowed(turned[some])
+    matrix[normals[geometry.glossy].abs().sum(-1) == 0] = 0
+    vectors = unshadowed(normals, order).T
+    shown = (vectors if sheets is None else sheets.through(vectors)).T[None]
+    return _transfer(geometry, wanted, recording, shown, matrix, worst, transport="unshadowed")
+
+
+def bake_points(
+    job: Job,
+    points: Receivers,
+    geometry: Geometry,
+    wanted: Wanted,
+    bounces: int | float,
+    store: Checkpoint | None,
+    workers: Workers,
+    report: Report,
+) -> tuple[Tensor, int]:
+    """Diffuse transfer `[C, N, points]` at points among glossy surfaces, and the bounces that it holds."""
+    wanted = dataclasses.replace(wanted, frame="exit", projection="optimal", factors=None)
+    task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
+    solution = solve(task, bounces - 1, store, workers, report)
+    sent = exitant(task, solution.arrived)
+    set_of = task.tables(task.recording)
+    everything = chunks(len(points))
+    transfer = torch.empty(len(points), job.channels * job.order**2)
+    # The store numbers the chunks of the points after those of the vertices.
+    first = len(chunks(len(job.receivers)))
+
+    def one(index: int) -> dict[str, Tensor]:
+        here = points[everything[index]]
+        return {"transfer": record(task, here, torch.full((len(here),), -1), sent, set_of)[0]}
+
+    def take(index: int, contents: dict[str, Tensor]) -> None:
+        transfer[everything[index]] = contents["transfer"]
+
+    every_chunk(len(points), job.rays, one, take, store, workers, report, stage="points", first=first)
+    return channels_first(transfer, job.channels), solution.bounces + 1
+
+
+def _transfer(
+    geometry: Geometry,
+    wanted: Wanted,
+    recording: Recording,
+    shown: Tensor,
+    arrived: Tensor,
+    worst: float | None,
+    **metadata: Any,
+) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+    """Transfer of diffuse vectors `shown [C, N, V]` and of the matrices that `arrived [G, R, C * N]`."""
+    channels, columns, _ = shown.shape
+    is_diffuse = bool((geometry.albedo > 0).any())
+    common: dict[str, Any] = {
+        **result.drawn(geometry),
+        "diffuse": shown.contiguous() if is_diffuse else torch.empty(channels, columns, 0),
+        "glossy": geometry.glossy.to(torch.int32),
+        "tangents": geometry.tangents.to(torch.float32),
+        "specular": result.uniform(geometry.specular),
+        "materials": [brdf.spec for brdf in geometry.gloss],
+        "version": VERSION,
+        **metadata,
+    }
+    if wanted.frame == "visibility":
+        kernel, degree = on_the_fly(geometry.gloss[0], recording, wanted.output_order, wanted.projection)
+        return VisibilityTransfer(
+            visibility=arrived[..., 0].T.contiguous(),
+            kernel=kernel,
+            degree=degree,
+            output_order=wanted.output_order,
+            projection=wanted.projection,
+            exit_error=worst,
+            **common,
+        )
+    matrix = arrived.view(-1, recording.count, channels, columns).permute(2, 0, 1, 3).contiguous()
+    if wanted.frame == "incident":
+        return IncidentTransfer(matrix=matrix, **common)
+    factors = recording.factors
+    if factors is not None:
+        left = float(factors.errors[factors.rows - 1])
+        return FactoredTransfer(matrix=matrix, factors=factors.table.to(torch.float32), factor_error=left, **common)
+    return GlossyTransfer(
+        matrix=matrix, output_order=wanted.output_order, projection=wanted.projection, exit_error=worst, **common
+    )
