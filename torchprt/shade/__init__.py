@@ -1,64 +1,60 @@
-"""The run time: an `nn.Module` per kind of transfer. Needs torch alone."""
+"""The run time: one `nn.Module` that adds layers, each of any signal. Needs torch alone."""
 
-from .clustered import ClusteredFactoredShader as ClusteredFactoredShader
-from .clustered import ClusteredGlossyShader as ClusteredGlossyShader
-from .clustered import ClusteredIncidentShader as ClusteredIncidentShader
-from .clustered import ClusteredShader as ClusteredShader
-from .clustered import ClusteredVisibilityShader as ClusteredVisibilityShader
-from .deformable import DeformableShader as DeformableShader
-from .deformable import FixedPoseShader as FixedPoseShader
-from .deformable_glossy import DeformableFactoredShader as DeformableFactoredShader
-from .diffuse import DiffuseShader as DiffuseShader
+from .clustered import ClusteredSignal as ClusteredSignal
+from .dense import DenseSignal as DenseSignal
 from .display import display as display
 from .display import filmic as filmic
 from .display import srgb as srgb
-from .fixed import FixedEyeShader as FixedEyeShader
-from .fixed import FixedLightShader as FixedLightShader
+from .environment import EnvironmentShader as EnvironmentShader
+from .eye_layer import ExitLayer as ExitLayer
+from .eye_layer import EyeLayerModule as EyeLayerModule
+from .eye_layer import FactoredLayer as FactoredLayer
+from .fixed_light import FixedLightShader as FixedLightShader
 from .frames import DeformedFrames as DeformedFrames
 from .frames import deformed_frames as deformed_frames
 from .frames import nearest_rotation as nearest_rotation
-from .glossy import FactoredShader as FactoredShader
-from .glossy import GlossyShader as GlossyShader
-from .graph import EnvironmentShader as EnvironmentShader
-from .incident import IncidentShader as IncidentShader
+from .incident import IncidentLayer as IncidentLayer
 from .incident import with_material as with_material
+from .layer import DiffuseLayer as DiffuseLayer
+from .layer import LayerModule as LayerModule
+from .layer import layer_module as layer_module
 from .patch import lay as lay
 from .patch import sample as sample
 from .patch import surface_frames as surface_frames
 from .shader import Shader as Shader
 from .shader import shader as shader
+from .signal import SignalModule as SignalModule
+from .signal import signal_module as signal_module
 from .skin import SkinnedMesh as SkinnedMesh
-from .view import ViewShader as ViewShader
-from .visibility import VisibilityShader as VisibilityShader
+from .visibility import VisibilityLayer as VisibilityLayer
+from .zonal import ZonalSignal as ZonalSignal
 
 __all__ = [
-    "ClusteredFactoredShader",
-    "ClusteredGlossyShader",
-    "ClusteredIncidentShader",
-    "ClusteredShader",
-    "ClusteredVisibilityShader",
-    "DeformableFactoredShader",
-    "DeformableShader",
+    "ClusteredSignal",
     "DeformedFrames",
-    "DiffuseShader",
+    "DenseSignal",
+    "DiffuseLayer",
     "EnvironmentShader",
-    "FactoredShader",
-    "FixedEyeShader",
+    "ExitLayer",
+    "EyeLayerModule",
+    "FactoredLayer",
     "FixedLightShader",
-    "FixedPoseShader",
-    "GlossyShader",
-    "IncidentShader",
+    "IncidentLayer",
+    "LayerModule",
     "Shader",
+    "SignalModule",
     "SkinnedMesh",
-    "ViewShader",
-    "VisibilityShader",
+    "VisibilityLayer",
+    "ZonalSignal",
     "deformed_frames",
     "display",
     "filmic",
     "lay",
+    "layer_module",
     "nearest_rotation",
     "sample",
     "shader",
+    "signal_module",
     "srgb",
     "surface_frames",
     "with_material",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
-from typing import Any, overload
+from collections.abc import Collection
 
 import torch
 from jaxtyping import Float
@@ -13,16 +12,17 @@ from torch import Tensor
 from torchprt.brdf import Brdf, exit_chain
 from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
-from torchprt.shade.glossy import MatrixShader
-from torchprt.shade.view import with_normals
-from torchprt.transfer import ClusteredGlossyTransfer, ClusteredIncidentTransfer, GlossyTransfer, IncidentTransfer
+from torchprt.shade.eye_layer import EyeLayerModule
+from torchprt.shade.layer import Chosen, layer_module
+from torchprt.shade.signal import hold
+from torchprt.transfer import Exit, Incident, Layer, Receivers, Transfer
 
 _EXPONENT = 40.0
-_CHUNK = 4096
 
 
-class IncidentShader(MatrixShader):
-    """Exit radiance of `IncidentTransfer` with a Phong lobe, or with any BRDF.
+@layer_module.register(Incident)
+class IncidentLayer(EyeLayerModule):
+    """Exit radiance from incident radiance with a Phong lobe, or with any BRDF, which are choices of `shader`:
 
     - `exponent` k, a number or a tensor of one or G, 40 if neither is given: exit radiance is
       `sum_i A_l(k) y_i(r) (M l)_i`, r the mirror image of the view about the normal. That is incident radiance blurred
@@ -30,73 +30,49 @@ class IncidentShader(MatrixShader):
       it stands for the BRDF that has the lobe divided by s_z, and under a constant light a surface is as bright as the
       light except where the lobe dips below the horizon. It can be changed or learned; zero or more.
     - `brdf`: `brdf.exit_chain` is applied instead, with `output_order` (of the transfer if omitted) and `projection`:
-      the same as the `GlossyTransfer` of `with_material`, which spares the product at run time.
+      the same as the exit matrices of `with_material`, which spares the product at run time.
 
-    Both err by what the transferred incident radiance lacks above its order. Made by `torchprt.shader(transfer)`;
-    `learn` may name "matrix", "specular", "albedo", "diffuse", and "exponent".
+    Both err by what the transferred incident radiance lacks above its order. `learn` may name "exponent", "specular" and
+    what the signal has.
     Raises InputError if both are given or the exponent is negative, not finite or of another shape.
     Source: Sloan, Kautz and Snyder 2002, section 4.2, equations 6 and 9; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
 
+    learnable = ("exponent", "specular")
+    choices = ("exponent", "brdf", "output_order", "projection")
     exponent: Tensor
     chain: Tensor
     band: Tensor
 
     def __init__(
         self,
-        transfer: IncidentTransfer,
-        exponent: float | int | Tensor | None = None,
-        *,
-        brdf: Brdf | None = None,
-        output_order: int | None = None,
-        projection: Projection = "optimal",
-        dtype: torch.dtype | None = None,
-        learn: Iterable[str] = (),
+        layer: Incident,
+        receivers: Receivers,
+        dtype: torch.dtype,
+        learn: Collection[str] = (),
+        choices: Chosen | None = None,
     ):
-        lobe = self.lobe(transfer, exponent, brdf)
-        tensors = {"matrix": with_normals(transfer, transfer.matrix)}
-        super().__init__(transfer, dtype, learn, tensors if lobe is None else {**tensors, "exponent": lobe})
-        self.reflect(transfer, brdf, output_order, projection)
-
-    @staticmethod
-    def lobe(
-        transfer: IncidentTransfer | ClusteredIncidentTransfer,
-        exponent: float | int | Tensor | None,
-        brdf: Brdf | None,
-    ) -> Tensor | None:
-        """The exponent that is meant, None if it is a BRDF; InputError as the class."""
-        if brdf is not None:
-            if exponent is not None:
-                raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
-            return None
-        device = transfer.positions.device
-        value = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
-        if value.shape not in ((), (1,), (len(transfer.glossy),)):
-            raise InputError(
-                f"exponent has shape {list(value.shape)}: give one, or one for each of the "
-                f"{len(transfer.glossy)} glossy receivers"
-            )
-        if not bool((value.isfinite() & (value >= 0)).all()):
-            raise InputError("exponent must be finite and zero or more")
-        return value
-
-    def reflect(
-        self,
-        transfer: IncidentTransfer | ClusteredIncidentTransfer,
-        brdf: Brdf | None,
-        output_order: int | None = None,
-        projection: Projection = "optimal",
-    ) -> None:
-        """The constants of the lobe or of `brdf`."""
-        self.incident_order = transfer.output_order
-        self.output_order = output_order or transfer.output_order
-        self.projection = projection
+        super().__init__(layer, receivers, dtype, learn, choices)
+        given = choices or {}
+        brdf: Brdf | None = given.get("brdf")
+        exponent: float | int | Tensor | None = given.get("exponent")
+        self.incident_order = layer.output_order
+        self.output_order: int = given.get("output_order") or layer.output_order
+        self.projection: Projection = given.get("projection") or "optimal"
+        self.exit_order = self.output_order
         device = self.specular.device
         if brdf is None:
+            lobe = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
+            _check_exponent(lobe, self.points.shape[1])
+            hold(self, "exponent", lobe.to(dtype), "exponent" in learn)
             self.register_buffer("band", bands(self.incident_order).to(device), persistent=False)
-        else:
-            chain = exit_chain(brdf, self.output_order, self.incident_order, projection)
-            self.register_buffer("chain", chain.to(device, self.specular.dtype))
+            return
+        if exponent is not None:
+            raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
+        if "exponent" in learn:
+            raise InputError("learn names 'exponent', but brdf is given: there is no lobe to learn")
+        chain = exit_chain(brdf, self.output_order, self.incident_order, self.projection)
+        self.register_buffer("chain", chain.to(device, dtype))
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """What the SH coefficients of transferred incident radiance are weighted with, for these views."""
@@ -106,45 +82,44 @@ class IncidentShader(MatrixShader):
         return basis(mirrored, self.incident_order) * phong(self.exponent, self.incident_order)[..., self.band]
 
 
-@overload
-def with_material(
-    incident: IncidentTransfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
-) -> GlossyTransfer: ...
-@overload
-def with_material(
-    incident: ClusteredIncidentTransfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
-) -> ClusteredGlossyTransfer: ...
-def with_material(
-    incident: IncidentTransfer | ClusteredIncidentTransfer,
-    brdf: Brdf,
-    output_order: int | None = None,
-    projection: Projection = "optimal",
-) -> GlossyTransfer | ClusteredGlossyTransfer:
-    """The glossy transfer of receivers that all have `brdf`: `brdf.exit_chain @ matrix`, in float64.
+def _check_exponent(value: Tensor, receivers: int) -> None:
+    if value.shape not in ((), (1,), (receivers,)):
+        raise InputError(
+            f"exponent has shape {list(value.shape)}: give one, or one for each of the {receivers} glossy receivers"
+        )
+    if not bool((value.isfinite() & (value >= 0)).all()):
+        raise InputError("exponent must be finite and zero or more")
 
-    `output_order`: of the exit functions, that of `incident` if omitted. Light that bounced is as the materials of
-    `incident` reflected it. The result lacks what `incident` lacks above its own order, which a bake of glossy
-    transfer does not; `exit_error` is therefore not stated. Of clustered transfer the representatives are multiplied,
-    and `squared_error` stays that of the incident matrices.
+
+def with_material(
+    transfer: Transfer, brdf: Brdf, output_order: int | None = None, projection: Projection = "optimal"
+) -> Transfer:
+    """The transfer with `brdf` on all receivers of its incident layers: `brdf.exit_chain @ matrix`, in float64.
+
+    `output_order`: of the exit functions, that of the incident radiance if omitted. Light that bounced is as the
+    materials of the layer reflected it. The result lacks what incident radiance lacks above its own order, which a bake
+    of exit matrices does not; `exit_error` is therefore not stated. Of clustered matrices the representatives are
+    multiplied, and `squared_error` stays that of the incident matrices.
+    Raises InputError if there is no incident layer, or its signal is in zonal lobes, whose rows cannot be combined.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3 and 9.
     """
-    order = output_order or incident.output_order
-    chain = exit_chain(brdf, order, incident.output_order, projection).to(incident.positions.device, torch.float64)
-    made: dict[str, Any] = {"materials": [brdf.spec], "output_order": order, "projection": projection}
-    shared = {field.name: getattr(incident, field.name) for field in dataclasses.fields(incident)}
-    if isinstance(incident, ClusteredIncidentTransfer):
-        shape = incident.shared.shape[1:]
-        names = ("shared",) if len(incident.shared) else ("mean", "basis")
-        for name in names:
-            rows = getattr(incident, name)
-            product = chain @ rows.reshape(-1, *shape).double()
-            made[name] = product.to(rows.dtype)
-        if "shared" not in made:
-            made["shared"] = made["mean"][:0]
-            made |= {name: made[name].flatten(1) for name in names}
-        return ClusteredGlossyTransfer(**shared | made)
-    matrix = incident.matrix.new_empty(*incident.matrix.shape[:2], *(len(chain), incident.matrix.shape[3]))
-    for start in range(0, len(incident.glossy), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        matrix[:, part] = (chain @ incident.matrix[:, part].double()).to(matrix.dtype)
-    return GlossyTransfer(**shared | made | {"matrix": matrix})
+    if not any(isinstance(layer, Incident) for layer in transfer.layers.values()):
+        raise InputError(f"transfer of kind '{transfer.kind}' has its reflectance baked in: no material can be chosen")
+    layers: dict[str, Layer] = {}
+    for name, layer in transfer.layers.items():
+        if not isinstance(layer, Incident):
+            layers[name] = layer
+            continue
+        order = output_order or layer.output_order
+        chain = exit_chain(brdf, order, layer.output_order, projection).to(layer.specular.device, torch.float64)
+        # A layer that is called by its kind is so still.
+        layers[Exit.kind if name == Incident.kind else name] = Exit(
+            signal=layer.signal.combined(chain),
+            receivers=layer.receivers,
+            tangents=layer.tangents,
+            specular=layer.specular,
+            materials=[brdf.spec],
+            output_order=order,
+            projection=projection,
+        )
+    return dataclasses.replace(transfer, layers=layers)

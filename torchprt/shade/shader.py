@@ -1,156 +1,279 @@
-"""Which module shades which kind of transfer."""
+"""The shader: layers put under a light, toward an eye, in a pose, and added up."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TypeAlias, overload
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import torch
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
-from torchprt.brdf import Brdf
 from torchprt.errors import InputError
-from torchprt.shade.clustered import (
-    ClusteredFactoredShader,
-    ClusteredGlossyShader,
-    ClusteredIncidentShader,
-    ClusteredShader,
-    ClusteredVisibilityShader,
-)
-from torchprt.shade.deformable import DeformableShader
-from torchprt.shade.deformable_glossy import DeformableFactoredShader
-from torchprt.shade.diffuse import DiffuseShader
-from torchprt.shade.glossy import FactoredShader, GlossyShader
-from torchprt.shade.incident import IncidentShader
-from torchprt.shade.visibility import VisibilityShader
-from torchprt.transfer import (
-    ClusteredFactoredTransfer,
-    ClusteredGlossyTransfer,
-    ClusteredIncidentTransfer,
-    ClusteredTransfer,
-    ClusteredVisibilityTransfer,
-    DiffuseTransfer,
-    FactoredTransfer,
-    GlossyTransfer,
-    IncidentTransfer,
-    Transfer,
-    VisibilityTransfer,
-    ZonalFactoredTransfer,
-    ZonalTransfer,
-)
-
-Shader: TypeAlias = (
-    DiffuseShader
-    | GlossyShader
-    | FactoredShader
-    | IncidentShader
-    | VisibilityShader
-    | DeformableShader
-    | DeformableFactoredShader
-)
-
-# The kinds that leave nothing to be chosen.
-_SHADERS: dict[type[Transfer], Callable[..., Shader]] = {
-    DiffuseTransfer: DiffuseShader,
-    GlossyTransfer: GlossyShader,
-    FactoredTransfer: FactoredShader,
-    VisibilityTransfer: VisibilityShader,
-    ClusteredTransfer: ClusteredShader,
-    ClusteredGlossyTransfer: ClusteredGlossyShader,
-    ClusteredFactoredTransfer: ClusteredFactoredShader,
-    ClusteredVisibilityTransfer: ClusteredVisibilityShader,
-    ZonalTransfer: DeformableShader,
-    ZonalFactoredTransfer: DeformableFactoredShader,
-}
+from torchprt.sh import Rotation, check_rotation, rotate
+from torchprt.sh.basis import values_are_at_hand
+from torchprt.shade.fixed_light import FixedLightShader
+from torchprt.shade.frames import DeformedFrames
+from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
+from torchprt.shade.signal import signal_module
+from torchprt.transfer import Transfer
 
 
-@overload
-def shader(
-    transfer: DiffuseTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> DiffuseShader: ...
-@overload
-def shader(
-    transfer: GlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> GlossyShader: ...
-@overload
-def shader(
-    transfer: FactoredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> FactoredShader: ...
-@overload
-def shader(
-    transfer: IncidentTransfer,
-    *,
-    dtype: torch.dtype | None = None,
-    learn: Iterable[str] = (),
-    exponent: float | int | Tensor | None = None,
-    brdf: Brdf | None = None,
-) -> IncidentShader: ...
-@overload
-def shader(
-    transfer: VisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> VisibilityShader: ...
-@overload
-def shader(
-    transfer: ClusteredIncidentTransfer,
-    *,
-    dtype: torch.dtype | None = None,
-    learn: Iterable[str] = (),
-    exponent: float | int | Tensor | None = None,
-    brdf: Brdf | None = None,
-) -> ClusteredIncidentShader: ...
-@overload
-def shader(
-    transfer: ClusteredFactoredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> ClusteredFactoredShader: ...
-@overload
-def shader(
-    transfer: ClusteredVisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> ClusteredVisibilityShader: ...
-@overload
-def shader(
-    transfer: ClusteredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> ClusteredShader: ...
-@overload
-def shader(
-    transfer: ClusteredGlossyTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> ClusteredGlossyShader: ...
-@overload
-def shader(
-    transfer: ZonalTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> DeformableShader: ...
-@overload
-def shader(
-    transfer: ZonalFactoredTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()
-) -> DeformableFactoredShader: ...
-@overload
-def shader(
-    transfer: Transfer,
-    *,
-    dtype: torch.dtype | None = None,
-    learn: Iterable[str] = (),
-    exponent: float | int | Tensor | None = None,
-    brdf: Brdf | None = None,
-) -> Shader: ...
-def shader(
-    transfer: Transfer,
-    *,
-    dtype: torch.dtype | None = None,
-    learn: Iterable[str] = (),
-    exponent: float | int | Tensor | None = None,
-    brdf: Brdf | None = None,
-) -> Shader:
-    """The `nn.Module` that shades `transfer`, by its kind.
+class Shader(nn.Module):
+    """Exit radiance of transfer: the sum of its layers, each its weight times its transfer under the light.
 
-    `dtype`: of its buffers (float32, or wider if the transfer is); `learn`: names of buffers that become
-    parameters, such as "albedo". For transfer of kind "incident" the reflectance: `exponent` of a Phong lobe (40 if
-    neither is given) or `brdf`.
-    Raises InputError for a name that cannot be learned, or a reflectance for another kind of transfer.
+    Made by `torchprt.shader(transfer)`. `needs` says what a call takes beside the light: "eye", "pose" (which may be
+    omitted: the rest pose). `layers`: a `LayerModule` each by name, whose buffers, or parameters if they are to be
+    learned, hold the transfer.
+
+    Laws: linear in `light`; turning the light and asking for `rotation` are the same; light, eye and pose turned together
+    change nothing; channels do not mix.
+    Source: Sloan, Kautz and Snyder 2002, section 6; Sloan, Hall, Hart and Snyder 2003, sections 3 and 6; Sloan, Luna and
+    Snyder 2005, sections 4 and 5.
     """
-    if isinstance(transfer, ClusteredIncidentTransfer):
-        return ClusteredIncidentShader(transfer, exponent, brdf=brdf, dtype=dtype, learn=learn)
-    if isinstance(transfer, IncidentTransfer):
-        return IncidentShader(transfer, exponent, brdf=brdf, dtype=dtype, learn=learn)
-    for name, value in (("exponent", exponent), ("brdf", brdf)):
-        if value is not None:
-            raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' has its reflectance baked in")
-    return _SHADERS[type(transfer)](transfer, dtype=dtype, learn=learn)
+
+    def __init__(
+        self, layers: Mapping[str, LayerModule], turn: Rotation, vertices: int, estimate: DeformedFrames | None = None
+    ):
+        """`estimate`: the frames of poses, if all layers follow one."""
+        super().__init__()
+        self.layers = nn.ModuleDict(layers)
+        self.turn = turn
+        self.order = turn.order
+        self.vertices = vertices
+        self.estimate = estimate
+        needs = frozenset[str]().union(*(layer.needs for layer in layers.values()))
+        self.needs = needs | {"pose"} if estimate is not None else needs
+
+    def extra_repr(self) -> str:
+        return f"order={self.order}, vertices={self.vertices}, needs={sorted(self.needs)}"
+
+    def forward(
+        self,
+        light: Float[Tensor, "*#B N 3"],
+        rotation: Float[Tensor, "*#B 3 3"] | None = None,
+        *,
+        eye: Float[Tensor, "*#B 3"] | None = None,
+        view: Float[Tensor, "*#B 3"] | None = None,
+        frames: Float[Tensor, "*#B V 3 3"] | None = None,
+        positions: Float[Tensor, "*#B V 3"] | None = None,
+        out: Tensor | None = None,
+    ) -> Float[Tensor, "... V 3"]:
+        """Linear exit radiance of every receiver under every light, toward every eye, in every pose.
+
+        `light [..., N, 3]`; `rotation [..., 3, 3]` turns the environment, not the surface (identity if omitted).
+        If it needs an eye: exactly one of `eye [..., 3]`, a point in the unit of the scene, and `view [..., 3]`, the
+        direction toward a distant eye, of any length above zero. If it follows a pose: `frames [..., V, 3, 3]`, the
+        rotation of every receiver from the rest pose, or `positions [..., V, 3]` of the deformed mesh, from which they
+        are estimated (`DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
+        from `positions`, so an eye with frames needs both.
+
+        All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they are
+        then applied to the transfer once, and every further light costs what a diffuse one does. Every other eye or pose
+        takes C N V numbers of memory on the way. The result is a view with vertices contiguous, not a permuted copy.
+        `out`: a former result to write over, for loops that must not allocate; of one layer that is stored whole, and
+        without gradients.
+
+        Raises InputError if the light is not of the order of the transfer, what it needs is not given or what it does
+        not need is, shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or
+        frames are not proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
+        """
+        self._check(eye, view, frames, positions)
+        light = turned_light(light, rotation, self.turn)
+        turned = self.pose(frames, positions)
+        if out is not None and len(self.layers) != 1:
+            raise InputError(f"out cannot be used with {len(self.layers)} layers: leave it out")
+        radiance: Tensor | None = None
+        for layer in self._modules_of_layers():
+            posed = None if turned is None else layer.among(turned, -3)
+            values = layer.values(eye, view, posed, positions)
+            radiance = layer.spread(layer(light, values, posed, out), radiance, self.vertices)
+        assert radiance is not None
+        return radiance.mT
+
+    def vectors(
+        self,
+        *,
+        eye: Float[Tensor, "3"] | None = None,
+        view: Float[Tensor, "3"] | None = None,
+        frames: Float[Tensor, "V 3 3"] | None = None,
+        positions: Float[Tensor, "V 3"] | None = None,
+    ) -> Float[Tensor, "C N V"]:
+        """What a light is multiplied with for one eye and one pose: the transfer vectors of all layers, weights inside.
+
+        C = 3 if a weight or transfer has three channels. Raises InputError as `forward`, and for more than one.
+        """
+        self._check(eye, view, frames, positions)
+        turned = self._one_pose(frames, positions)
+        total: Tensor | None = None
+        for layer in self._modules_of_layers():
+            posed = None if turned is None else layer.among(turned, -3)
+            values = layer.values(eye, view, posed, positions)
+            if values is not None and values.ndim != 2:
+                raise InputError("eye or view has a batch: fix one at a time, of shape [3]")
+            vectors = layer.toward(values, posed) * layer.weight.T.unsqueeze(1)
+            total = layer.spread(vectors, total, self.vertices)
+        assert total is not None
+        return total
+
+    def fix_eye(self, *, eye: Float[Tensor, "3"] | None = None, view: Float[Tensor, "3"] | None = None) -> Shader:
+        """A shader for lights alone, with one `eye` or `view`: one diffuse layer of `vectors`, at rest.
+
+        Equal to the general call to rounding. Gradients flow through it to the eye and the parameters of this shader.
+        Raises InputError as `forward`, and if more than one eye is given.
+        """
+        vectors = self.vectors(eye=eye, view=view).contiguous()
+        layer = DiffuseLayer.holding(vectors, vectors.new_ones(1, 1).detach())
+        return Shader({"diffuse": layer}, self.turn, self.vertices)
+
+    def fix_light(
+        self, light: Float[Tensor, "*#B N 3"], rotation: Float[Tensor, "*#B 3 3"] | None = None
+    ) -> FixedLightShader:
+        """A shader for eyes alone, under one light or a batch, at rest: what rows send and other radiance are stored.
+
+        Equal to the general call to rounding. Stores 3 (M G + V) numbers a light. Gradients flow through it to the
+        light and the parameters of this shader. Raises InputError as `forward`, and if it needs no eye.
+        """
+        if "eye" not in self.needs:
+            raise InputError("fix_light is for shaders that need an eye: this one gives its radiance when it is called")
+        light = turned_light(light, rotation, self.turn)
+        radiance: Tensor | None = None
+        seen: dict[str, LayerModule] = {}
+        coefficients: dict[str, Tensor] = {}
+        for name, layer in zip(self.layers, self._modules_of_layers(), strict=True):
+            if "eye" in layer.needs:
+                seen[name] = layer
+                coefficients[name] = layer.under(light) * layer.weight.T.unsqueeze(-2)
+            else:
+                radiance = layer.spread(layer(light), radiance, self.vertices)
+        return FixedLightShader(seen, coefficients, radiance, self.vertices, self.order)
+
+    def fix_pose(
+        self, frames: Float[Tensor, "V 3 3"] | None = None, *, positions: Float[Tensor, "V 3"] | None = None
+    ) -> Shader:
+        """The shader of one pose: its transfer is stored, and it costs what a static one does.
+
+        Equal to the general call to rounding. Gradients flow through it to the pose and the parameters of this shader.
+        With `frames` alone the receivers stay where they are at rest: then give `view`, not `eye`.
+        Raises InputError as `forward`, if it follows no pose, and if there is more than one.
+        """
+        if "pose" not in self.needs:
+            raise InputError("fix_pose is for shaders that follow a pose: this one has one, as it was baked")
+        self._check(None, None, frames, positions)
+        turned = self._one_pose(frames, positions)
+        layers = {
+            name: layer.posed(None if turned is None else layer.among(turned, -3), positions)
+            for name, layer in zip(self.layers, self._modules_of_layers(), strict=True)
+        }
+        return Shader(layers, self.turn, self.vertices)
+
+    def pose(self, frames: Tensor | None, positions: Tensor | None) -> Float[Tensor, "*P V 3 3"] | None:
+        """The frames of a pose, checked, in the dtype of the shader; None for the rest pose."""
+        dtype = self.turn.project.dtype
+        if frames is not None:
+            if frames.shape[-3:] != (self.vertices, 3, 3):
+                raise InputError(
+                    f"frames have shape {list(frames.shape)}: the transfer has {self.vertices} receivers, give "
+                    f"[..., {self.vertices}, 3, 3]"
+                )
+            if values_are_at_hand():
+                check_rotation(frames, "frames")
+            return frames.to(dtype)
+        if positions is None:
+            return None
+        if values_are_at_hand() and not bool(positions.isfinite().all()):
+            raise InputError("positions hold NaN or infinity: give finite numbers")
+        assert self.estimate is not None
+        return self.estimate(positions).to(dtype)
+
+    def _one_pose(self, frames: Tensor | None, positions: Tensor | None) -> Float[Tensor, "V 3 3"] | None:
+        turned = self.pose(frames, positions)
+        if turned is not None and turned.ndim != 3:
+            raise InputError("frames or positions have a batch: fix one pose at a time")
+        return turned
+
+    def _check(self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None, positions: Tensor | None) -> None:
+        if "eye" not in self.needs and not (eye is None and view is None):
+            raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
+        if "pose" not in self.needs and not (frames is None and positions is None):
+            raise InputError("frames or positions are given, but this shader has one pose: omit them")
+        if eye is not None and frames is not None and positions is None:
+            raise InputError("eye is a point and frames are given without positions: give positions too, or a view")
+
+    def _modules_of_layers(self) -> list[LayerModule]:
+        return [layer for layer in self.layers.values() if isinstance(layer, LayerModule)]
+
+
+def shader(
+    transfer: Transfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = (), **choices: Any
+) -> Shader:
+    """The `nn.Module` that shades `transfer`.
+
+    `dtype`: of its buffers (float32, or wider if the transfer is); `learn`: names of buffers that become parameters, as
+    "albedo", "specular" or "values", of every layer that has them, or "exit.values" for that of one. With bounces albedo
+    and specular were also baked into what other surfaces receive, so learning them is refused.
+
+    `choices`: what layers and signals leave open. For incident transfer the reflectance, `exponent` of a Phong lobe (40
+    if neither is given) or `brdf`; for zonal lobes the `method`, "direct" or "table". None counts as not given.
+    Raises InputError for a name that cannot be learned, or for a choice that no layer leaves open.
+    """
+    given = {name: value for name, value in choices.items() if value is not None}
+    classes = {
+        name: (layer_module.dispatch(type(layer)), signal_module.dispatch(type(layer.signal)))  # type: ignore[attr-defined]
+        for name, layer in transfer.layers.items()
+    }
+    open_ = {choice for pair in classes.values() for each in pair for choice in getattr(each, "choices", ())}
+    for name in given:
+        if name not in open_:
+            raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' does not leave it open")
+    learnable = {
+        name: [each for part in pair for each in getattr(part, "learnable", ())] for name, pair in classes.items()
+    }
+    learned = _learned(transfer, learnable, (learn,) if isinstance(learn, str) else tuple(learn))
+    if dtype is None:
+        dtype = torch.float32
+        for layer in transfer.layers.values():
+            dtype = torch.promote_types(dtype, layer.signal.dtype)
+    layers = {
+        name: layer_module(layer, transfer.receivers, dtype, learned[name], given)
+        for name, layer in transfer.layers.items()
+    }
+    device = transfer.positions.device
+    estimate = None
+    if "pose" in transfer.needs:
+        estimate = DeformedFrames(transfer.positions, transfer.faces, normals=transfer.normals).to(dtype)
+    return Shader(layers, Rotation(transfer.order, dtype).to(device), transfer.vertices, estimate)
+
+
+def _learned(transfer: Transfer, learnable: Mapping[str, list[str]], learn: tuple[str, ...]) -> dict[str, set[str]]:
+    """The names to learn of every layer. InputError for one that there is not, or that was baked in."""
+    learned: dict[str, set[str]] = {name: set() for name in transfer.layers}
+    for wanted in learn:
+        of, _, name = wanted.rpartition(".")
+        found = [each for each in learned if name in learnable[each] and of in ("", each)]
+        if not found:
+            known = ", ".join(f"'{each}'" for each in sorted({each for names in learnable.values() for each in names}))
+            raise InputError(
+                f"learn names '{wanted}': a shader of transfer of kind '{transfer.kind}' can learn {known}"
+            )
+        for each in found:
+            if name == transfer.layers[each].weight_name and transfer.bounces > 0:
+                raise InputError(
+                    f"{name} cannot be learned: {transfer.bounces} bounces are baked with it into what other surfaces "
+                    "receive; bake without bounces"
+                )
+            learned[each].add(name)
+    return learned
+
+
+def turned_light(light: Tensor, rotation: Tensor | None, turn: Rotation) -> Tensor:
+    """`light [*B, N, 3]` as a shader uses it: turned if asked to, InputError if it is not of the order of `turn`."""
+    if light.shape[-2] != turn.order**2:
+        raise InputError(
+            f"light has {light.shape[-2]} coefficients but the transfer is of order {turn.order}: "
+            f"project the light with order={turn.order}"
+        )
+    if rotation is None:
+        return light
+    # A graph takes its constants from the module; elsewhere the rotation is checked and the fast way taken.
+    return turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)

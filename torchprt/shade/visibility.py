@@ -2,66 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.sh import Projection, basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
-from torchprt.shade.view import ViewShader, with_normals
-from torchprt.transfer import VisibilityTransfer
+from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
+from torchprt.shade.batches import light_product
+from torchprt.shade.eye_layer import EyeLayerModule
+from torchprt.shade.layer import Chosen, layer_module
+from torchprt.shade.signal import hold
+from torchprt.transfer import Receivers, Visibility
 
 
-class VisibilityShader(ViewShader):
-    """Exit radiance of `VisibilityTransfer`, its matrices made and used on the fly.
+@layer_module.register(Visibility)
+class VisibilityLayer(EyeLayerModule):
+    """Exit radiance of visibility, its matrices made and used on the fly.
 
     The view is contracted first: at the D nodes of the rule, `sum_i e_i(v) kernel_id` times visibility, projected on
     the SH of the local frame and turned to the world, is the transfer vector of that view. It takes about 2 G D numbers
     of memory for each eye (D = 91 at degree 12) and, to fix a light, 6 G D for each light.
-    Exit functions are those of `GlossyShader`.
-    Made by `torchprt.shader(transfer)`; `learn` may name "visibility", "kernel", "specular", "albedo", "diffuse".
+    Exit functions are those of `ExitLayer`. `learn` may name "kernel", "specular" and what the signal has.
     Source: Sloan, Kautz and Snyder 2002, section 4.2.
     """
 
-    visibility: Tensor
+    learnable = ("kernel", "specular")
     kernel: Tensor
     functions: Tensor
     harmonics: Tensor
 
-    def __init__(self, transfer: VisibilityTransfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = ()):
-        visibility = with_normals(transfer, transfer.visibility)
-        super().__init__(transfer, dtype, learn, {"visibility": visibility, "kernel": transfer.kernel})
-        self.tabulate(transfer.degree, transfer.visibility_order, transfer.output_order, transfer.projection)
-
-    def tabulate(self, degree: int, visibility_order: int, output_order: int, projection: Projection) -> None:
-        """The functions at the nodes of the rule."""
-        self.output_order = output_order
-        self.projection = projection
-        nodes, _ = gauss_legendre_hemisphere(degree)
-        tables = {"functions": hemisphere_basis(nodes, visibility_order), "harmonics": basis(nodes, self.order)}
+    def __init__(
+        self,
+        layer: Visibility,
+        receivers: Receivers,
+        dtype: torch.dtype,
+        learn: Collection[str] = (),
+        choices: Chosen | None = None,
+    ):
+        super().__init__(layer, receivers, dtype, learn, choices)
+        hold(self, "kernel", layer.kernel.detach().to(dtype), "kernel" in learn)
+        self.exit_order = layer.output_order
+        self.projection = layer.projection
+        self.turn = Rotation(layer.order, dtype).to(layer.kernel.device)
+        nodes, _ = gauss_legendre_hemisphere(layer.degree)
+        tables = {"functions": hemisphere_basis(nodes, layer.visibility_order), "harmonics": basis(nodes, layer.order)}
         for name, table in tables.items():
             self.register_buffer(name, table.to(self.kernel).contiguous(), persistent=False)
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """The exit functions of the local unit directions toward the eye."""
-        return exit_functions(local, self.output_order, self.projection)
+        return exit_functions(local, self.exit_order, self.projection)
 
-    def vectors(self, values: Float[Tensor, "P G M"]) -> Float[Tensor, "C P N G"]:
-        """Transfer vectors `sum_i e_i M_ij` of the glossy layer for P eyes, without specular."""
+    def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
+        assert values is not None
         local = ((values @ self.kernel) * self._seen()) @ self.harmonics
-        world = self._turn(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
-        return world.movedim(-1, 0).mT
+        world = self._turned(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
+        return world.movedim((-1, -2), (0, 1))
 
-    def coefficients(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
-        """Exit coefficients `sum_j M_ij l_j` under lights of the world, without specular."""
-        local = self._turn(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
+    def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
+        local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
         arriving = (local.mT @ self.harmonics.mT) * self._seen().unsqueeze(-2)
         return (arriving @ self.kernel.mT).movedim(-3, -1).contiguous()
 
-    def _seen(self) -> Tensor:
-        """Visibility `[G, D]` at the nodes."""
-        return self.visibility.mT @ self.functions.mT
+    def sent(
+        self, light: Tensor, values: Tensor | None, frames: Tensor | None, out: Tensor | None
+    ) -> Float[Tensor, "... 3 G"]:
+        return light_product(light, self.toward(values), out=out)
 
-    def _turn(self, light: Tensor, rotation: Tensor) -> Tensor:
+    def _seen(self) -> Float[Tensor, "G D"]:
+        """Visibility at the nodes."""
+        return self.signal.applied(self.functions.mT)
+
+    def _turned(self, light: Tensor, rotation: Tensor) -> Tensor:
         return self.turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)

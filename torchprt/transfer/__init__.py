@@ -1,51 +1,43 @@
-"""What a bake leaves: the kinds of transfer and one file format."""
+"""What a bake leaves: receivers, layers and signals, and one file format."""
 
-from .clustered import ClusteredFactoredTransfer as ClusteredFactoredTransfer
-from .clustered import ClusteredGlossyTransfer as ClusteredGlossyTransfer
-from .clustered import ClusteredIncidentTransfer as ClusteredIncidentTransfer
-from .clustered import ClusteredTransfer as ClusteredTransfer
-from .clustered import ClusteredVisibilityTransfer as ClusteredVisibilityTransfer
-from .diffuse import DiffuseTransfer as DiffuseTransfer
+from .clustered import Clustered as Clustered
+from .dense import Dense as Dense
 from .file import FORMAT as FORMAT
 from .file import load as load
 from .file import save as save
-from .glossy import FactoredTransfer as FactoredTransfer
-from .glossy import GlossyTransfer as GlossyTransfer
-from .glossy import IncidentTransfer as IncidentTransfer
-from .glossy import VisibilityTransfer as VisibilityTransfer
-from .kinds import BakedTransfer as BakedTransfer
-from .kinds import CompressedTransfer as CompressedTransfer
-from .kinds import Transfer as Transfer
-from .zonal import ZonalTransfer as ZonalTransfer
-from .zonal_factored import ZonalFactoredTransfer as ZonalFactoredTransfer
-from .zonal_map import ZonalMap as ZonalMap
-from .zonal_map import holds_map as holds_map
-from .zonal_map import load_map as load_map
-from .zonal_map import save_map as save_map
-from .zonal_map import zonal_map as zonal_map
+from .layer import Diffuse as Diffuse
+from .layer import Layer as Layer
+from .layers import Exit as Exit
+from .layers import Factored as Factored
+from .layers import Incident as Incident
+from .layers import Visibility as Visibility
+from .layout import Layout as Layout
+from .receivers import Receivers as Receivers
+from .receivers import Texels as Texels
+from .receivers import Vertices as Vertices
+from .signal import Signal as Signal
+from .transfer import Transfer as Transfer
+from .transfer import diffuse_transfer as diffuse_transfer
+from .zonal import Zonal as Zonal
 
 __all__ = [
     "FORMAT",
-    "BakedTransfer",
-    "ClusteredFactoredTransfer",
-    "ClusteredGlossyTransfer",
-    "ClusteredIncidentTransfer",
-    "ClusteredTransfer",
-    "ClusteredVisibilityTransfer",
-    "CompressedTransfer",
-    "DiffuseTransfer",
-    "FactoredTransfer",
-    "GlossyTransfer",
-    "IncidentTransfer",
+    "Clustered",
+    "Dense",
+    "Diffuse",
+    "Exit",
+    "Factored",
+    "Incident",
+    "Layer",
+    "Layout",
+    "Receivers",
+    "Signal",
+    "Texels",
     "Transfer",
-    "VisibilityTransfer",
-    "ZonalFactoredTransfer",
-    "ZonalMap",
-    "ZonalTransfer",
-    "holds_map",
+    "Vertices",
+    "Visibility",
+    "Zonal",
+    "diffuse_transfer",
     "load",
-    "load_map",
     "save",
-    "save_map",
-    "zonal_map",
 ]

@@ -1,111 +1,142 @@
-"""One file format for every kind of transfer: safetensors with string metadata."""
+"""One file format for every transfer: safetensors with string metadata that says what stands where."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.transfer.kinds import KINDS, Transfer
-from torchprt.transfer.layout import tensors
+from torchprt.transfer.format1 import from_format1
+from torchprt.transfer.layer import Layer
+from torchprt.transfer.layout import Part
+from torchprt.transfer.receivers import Receivers
+from torchprt.transfer.signal import Signal
+from torchprt.transfer.transfer import Transfer
 
-FORMAT = 1
-# The kind of `ZonalMap`, which no shader takes as it is.
-MAP = "zonal map"
+FORMAT = 2
 CONVENTIONS = (
     "real orthonormal spherical harmonics with the Condon-Shortley sign, index l(l+1)+m; world frame, y up; "
     "directions point away from the surface; transfer carries 1/pi, albedo of the receiver is separate"
 )
+_PROVENANCE = [field.name for field in dataclasses.fields(Transfer) if field.name not in ("receivers", "layers")]
+
+# What a part of a file is read by: the tensor of a name, in its part of the metadata.
+Read = Callable[[str], Tensor]
 
 
 def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     """Writes a transfer to `path` (`.safetensors`); a reader never sees half of it.
 
-    The file holds the tensors by name and string metadata: kind, format version, conventions and provenance.
+    The file holds the tensors of the receivers by name, those of a layer as `layer.name`, those of its signal as
+    `layer.signal.name`; the metadata are the format version, conventions, provenance, and as JSON what the receivers,
+    the layers and their signals are.
     Raises InputError if a value is NaN or infinite, or `path` cannot be written or has another suffix.
     """
-    save_kind(transfer, path)
-
-
-def save_kind(transfer: Any, path: str | os.PathLike[str]) -> None:
-    """`save` of anything that has a kind, layouts and a check."""
     path = Path(path)
     if path.suffix.lower() != ".safetensors":
         raise InputError(f"{path} must end in .safetensors")
     transfer.check()
+    layers = []
+    tensors = dict(transfer.receivers.tensors())
+    for name, layer in transfer.layers.items():
+        tensors |= {f"{name}.{each}": value for each, value in layer.tensors().items()}
+        tensors |= {f"{name}.signal.{each}": value for each, value in layer.signal.tensors().items()}
+        layers.append({"name": name, **_said(layer), "signal": _said(layer.signal)})
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
-    for field in dataclasses.fields(transfer):
-        if field.name not in transfer.layouts:
-            metadata[field.name] = json.dumps(getattr(transfer, field.name))
-    contents = {name: value.detach().cpu().contiguous() for name, value in tensors(transfer).items()}
+    metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
+    metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
+    contents = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     with atomic(path) as temporary:
         save_file(contents, temporary, metadata=metadata)
 
 
 def load(path: str | os.PathLike[str]) -> Transfer:
-    """Reads a transfer that `save` wrote; the tensors are on the CPU.
+    """Reads a transfer that `save` wrote, of this format or an older one; the tensors are on the CPU.
 
-    Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of an unknown kind or a
-    newer format, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a value that is not finite.
+    Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of a newer format, holds a
+    kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
+    value that is not finite.
     """
-    return load_kind(path, KINDS)
-
-
-def load_kind(path: str | os.PathLike[str], kinds: Mapping[str, type]) -> Any:
-    """`load` of one of `kinds`."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} does not exist: give a file that `torchprt bake` wrote")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            kind = _kind(path, metadata, kinds)
-            found = set(file.keys())
-            missing = sorted(set(kind.layouts) - found)
-            if missing:
-                raise InputError(f"{path} lacks the tensor '{missing[0]}': it is damaged, bake it again")
-            values: dict[str, Any] = {name: file.get_tensor(name) for name in kind.layouts}
+            metadata, names = file.metadata() or {}, set(file.keys())
+
+            def tensor(name: str) -> Tensor:
+                if name not in names:
+                    raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
+                value: Tensor = file.get_tensor(name)
+                return value
+
+            return _read(path, metadata, names, tensor)
     except (SafetensorError, OSError) as fault:
         raise InputError(f"{path} is not a whole safetensors file ({fault}): bake it again") from fault
-    for field in dataclasses.fields(kind):
-        if field.name not in kind.layouts:
-            values[field.name] = _entry(path, metadata, field.name)
-    try:
-        transfer = kind(**values)
-        transfer.check()
-    except InputError as fault:
-        raise InputError(f"{path}: {fault}") from fault
-    return transfer
 
 
-def _kind(path: Path, metadata: dict[str, str], kinds: Mapping[str, type]) -> Any:
+def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Read) -> Transfer:
     if "kind" not in metadata or "format" not in metadata:
-        raise InputError(f"{path} is a safetensors file but not a transfer: give a file that `torchprt bake` wrote")
+        raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
     if not metadata["format"].isdigit() or int(metadata["format"]) > FORMAT:
         raise InputError(
             f"{path} has format {metadata['format']}, newer than the {FORMAT} that this torchprt reads: update torchprt"
         )
-    if metadata["kind"] == MAP and MAP not in kinds:
-        raise InputError(f"{path} holds a map of a patch, not transfer of receivers: read it with load_map")
-    if metadata["kind"] in KINDS and metadata["kind"] not in kinds:
-        raise InputError(f"{path} holds transfer of receivers, not a map of a patch: read it with load")
-    if metadata["kind"] not in kinds:
-        raise InputError(
-            f"{path} holds transfer of kind '{metadata['kind']}', which this torchprt does not know: update torchprt"
-        )
-    return kinds[metadata["kind"]]
 
+    def entry(name: str) -> Any:
+        try:
+            return json.loads(metadata[name])
+        except (KeyError, json.JSONDecodeError) as fault:
+            raise InputError(f"{path} lacks the metadata '{name}': it is damaged, bake it again") from fault
 
-def _entry(path: Path, metadata: dict[str, str], name: str) -> Any:
     try:
-        return json.loads(metadata[name])
-    except (KeyError, json.JSONDecodeError) as fault:
-        raise InputError(f"{path} lacks the metadata '{name}': it is damaged, bake it again") from fault
+        provenance = {name: entry(name) for name in _PROVENANCE}
+        if metadata["format"] == "1":
+            transfer = from_format1(metadata["kind"], tensor, entry, provenance)
+        else:
+            receivers = _part(Receivers.family, "receivers", entry("receivers"), tensor, names, "")
+            layers = {}
+            for said in entry("layers"):
+                name = said.pop("name")
+                signal = _part(Signal.family, "signal", said.pop("signal"), tensor, names, f"{name}.signal.")
+                layers[name] = _part(Layer.family, "layer", said, tensor, names, f"{name}.", signal=signal)
+            transfer = Transfer(receivers=receivers, layers=layers, **provenance)
+        transfer.check()
+    except InputError as fault:
+        text = str(fault)
+        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
+    except (KeyError, TypeError, AttributeError) as fault:
+        raise InputError(f"{path} has damaged metadata ({fault}): bake it again") from fault
+    return transfer
+
+
+def _said(part: Part) -> dict[str, Any]:
+    return {"kind": part.kind, **part.metadata()}
+
+
+def _part(
+    family: dict[str, type[Any]],
+    what: str,
+    said: dict[str, Any],
+    tensor: Read,
+    names: set[str],
+    prefix: str,
+    **parts: Part,
+) -> Any:
+    """A part of a transfer from what the metadata say of it, and from its tensors, whose names start with `prefix`."""
+    kind = said.pop("kind")
+    if kind not in family:
+        raise InputError(f"{what} of kind '{kind}' is unknown to this torchprt: update torchprt")
+    made = family[kind]
+    optional = {name for name, layout in made.layouts.items() if layout.optional and prefix + name not in names}
+    tensors = {name: tensor(prefix + name) for name in made.layouts if name not in optional}
+    return made(**said, **tensors, **parts)

@@ -1,9 +1,10 @@
-"""What the tensors of a transfer must look like, and the checks of it."""
+"""What the tensors of a transfer must look like: parts that say it of themselves, and the checks of it."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
@@ -11,61 +12,106 @@ from torch import Tensor
 from torchprt.errors import InputError
 
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+REAL = (torch.float32, torch.float64)
+WHOLE = (torch.int32, torch.int64)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Shape letters and dtypes that a tensor of a transfer must have; equal letters mean equal sizes.
+    """Shape letters and dtypes that a tensor must have; equal letters of one part mean equal sizes.
 
-    A letter with alternatives, as `V|1`, also accepts the literal size behind the bar.
+    A letter with alternatives, as `V|1`, also accepts the literal size behind the bar. An `optional` tensor may
+    be None.
     """
 
     shape: tuple[str, ...]
     dtypes: tuple[torch.dtype, ...] = FLOATS
+    optional: bool = False
 
 
-def tensors(transfer: Any) -> dict[str, Tensor]:
-    """The tensors of a transfer by name, in the order of its layouts."""
-    return {name: getattr(transfer, name) for name in transfer.layouts}
+P = TypeVar("P", bound="Part")
 
 
-def check_layouts(transfer: Any) -> dict[str, int]:
-    """Size of every shape letter; InputError where a tensor does not have its layout."""
-    sizes: dict[str, int] = {}
-    for name, layout in transfer.layouts.items():
-        value = getattr(transfer, name)
-        if value.dtype not in layout.dtypes:
-            expected = " or ".join(str(dtype).removeprefix("torch.") for dtype in layout.dtypes)
-            found = str(value.dtype).removeprefix("torch.")
-            raise InputError(f"tensor '{name}' of the transfer is {found}: it must be {expected}")
-        wanted = f"[{', '.join(layout.shape)}]"
-        if value.ndim != len(layout.shape):
-            raise InputError(f"tensor '{name}' of the transfer has shape {list(value.shape)}: it must be {wanted}")
-        for size, letters in zip(value.shape, layout.shape, strict=True):
-            options = {int(letter) if letter.isdigit() else sizes.get(letter, size) for letter in letters.split("|")}
-            if size not in options:
-                known = ", ".join(f"{letter} = {count}" for letter, count in sizes.items())
+@dataclass(kw_only=True)
+class Part:
+    """A dataclass of tensors, which `layouts` describe by name, and of plain metadata, which JSON can hold.
+
+    `kind` names it in a file, among those of its family (receivers, layers or signals): a class that has a `kind` is
+    entered there when it is defined, and can then be read and written.
+    Raises InputError when it is made if a tensor does not have its layout.
+    """
+
+    kind: ClassVar[str]
+    layouts: ClassVar[dict[str, Layout]] = {}
+    family: ClassVar[dict[str, type[Any]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "kind" in cls.__dict__:
+            cls.family[cls.kind] = cls
+
+    def __post_init__(self) -> None:
+        self.sizes()
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Its tensors by name, without those that are None."""
+        found = {name: getattr(self, name) for name in self.layouts}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def metadata(self) -> dict[str, Any]:
+        """Its other fields, but for parts of their own."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: v for name, v in fields.items() if name not in self.layouts and not isinstance(v, Part)}
+
+    def sizes(self) -> dict[str, int]:
+        """Size of every shape letter; InputError where a tensor does not have its layout."""
+        sizes: dict[str, int] = {}
+        for name, layout in self.layouts.items():
+            value = getattr(self, name)
+            if value is None and layout.optional:
+                continue
+            if value.dtype not in layout.dtypes:
+                expected = " or ".join(str(dtype).removeprefix("torch.") for dtype in layout.dtypes)
+                found = str(value.dtype).removeprefix("torch.")
+                raise InputError(f"tensor '{name}' of the transfer is {found}: it must be {expected}")
+            wanted = f"tensor '{name}' of the transfer has shape {list(value.shape)}: it must be "
+            wanted += f"[{', '.join(layout.shape)}]"
+            if value.ndim != len(layout.shape):
+                raise InputError(wanted)
+            for size, letters in zip(value.shape, layout.shape, strict=True):
+                options = {int(each) if each.isdigit() else sizes.get(each, size) for each in letters.split("|")}
+                if size not in options:
+                    known = ", ".join(f"{letter} = {count}" for letter, count in sizes.items())
+                    raise InputError(f"{wanted} with {known}")
+                if letters.isalpha():
+                    sizes[letters] = size
+        return sizes
+
+    def check(self, of: str = "") -> None:
+        """InputError naming the first tensor that holds NaN or infinity, after what it is `of`."""
+        for name, value in self.tensors().items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                bad = int((~torch.isfinite(value)).sum())
                 raise InputError(
-                    f"tensor '{name}' of the transfer has shape {list(value.shape)}: it must be {wanted} with {known}"
+                    f"tensor '{of}{name}' of the transfer holds {bad} NaN or infinite values: bake it again"
                 )
-            if letters.isalpha():
-                sizes[letters] = size
-    return sizes
+
+    def replace(self: P, **changes: Any) -> P:
+        """The same with other values in some fields."""
+        return dataclasses.replace(self, **changes)
 
 
-def check_finite(transfer: Any) -> None:
-    """InputError naming the first tensor that holds NaN or infinity."""
-    for name, value in tensors(transfer).items():
-        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-            bad = int((~torch.isfinite(value)).sum())
-            raise InputError(f"tensor '{name}' of the transfer holds {bad} NaN or infinite values: bake it again")
+def bytes_of(*tensors: Tensor) -> int:
+    return sum(each.numel() * each.element_size() for each in tensors)
 
 
-def check_signal(transfer: Any) -> dict[str, int]:
-    """`check_layouts`, and that there are 1 or 3 channels `C` and the square of an order of light coefficients `N`."""
-    sizes = check_layouts(transfer)
-    if sizes["C"] not in (1, 3):
-        raise InputError(f"transfer has {sizes['C']} channels: it must have 1 or 3")
-    if round(sizes["N"] ** 0.5) ** 2 != sizes["N"] or sizes["N"] == 0:
-        raise InputError(f"transfer has {sizes['N']} coefficients a vertex: it must be the square of the order")
-    return sizes
+def check_unit_weights(name: str, weights: Tensor) -> None:
+    """InputError unless all are in [0, 1]."""
+    if weights.numel() and (weights.min() < 0 or weights.max() > 1):
+        raise InputError(f"{name} of the transfer is outside [0, 1]: bake it again")
+
+
+def check_indices(name: str, index: Tensor, count: int) -> None:
+    """InputError if one of them names none of `count` vertices."""
+    if index.numel() and (index.min() < 0 or index.max() >= count):
+        raise InputError(f"{name} of the transfer name vertices that it does not have: bake it again")

@@ -8,11 +8,8 @@ from torch.nn.functional import linear
 
 from torchprt.errors import InputError
 from torchprt.sh import cube_basis
-from torchprt.shade.deformable import DeformableShader
-from torchprt.shade.deformable_glossy import DeformableFactoredShader
-from torchprt.shade.diffuse import DiffuseShader
 from torchprt.shade.display import ToneMap, display
-from torchprt.shade.view import ViewShader
+from torchprt.shade.shader import Shader
 
 
 class EnvironmentShader(nn.Module):
@@ -27,7 +24,7 @@ class EnvironmentShader(nn.Module):
 
     def __init__(
         self,
-        shader: DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader,
+        shader: Shader,
         size: int,
         *,
         exposure: float = 0.0,
@@ -65,11 +62,5 @@ class EnvironmentShader(nn.Module):
         # `sh.project_cube` with the table in a buffer, so that the graph can be compiled and exported.
         texels = environment.movedim(-1, -4).reshape(*environment.shape[:-4], 3, 6 * self.size**2)
         light = linear(texels, self.weights).mT
-        eyes = {name: value for name, value in (("eye", eye), ("view", view)) if value is not None}
-        pose = {name: value for name, value in (("frames", frames), ("positions", positions)) if value is not None}
-        if eyes and not isinstance(self.shader, ViewShader | DeformableFactoredShader):
-            raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
-        if pose and not isinstance(self.shader, DeformableShader | DeformableFactoredShader):
-            raise InputError("frames or positions are given, but this shader has one pose: omit them")
-        radiance = self.shader(light, rotation, **eyes, **pose)
+        radiance = self.shader(light, rotation, eye=eye, view=view, frames=frames, positions=positions)
         return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)

@@ -1,0 +1,78 @@
+"""Signals at run time: stored transfer put under a light, or contracted with functions of the eye."""
+
+from __future__ import annotations
+
+import abc
+import functools
+from collections.abc import Collection
+from typing import Any, ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchprt.errors import InputError
+from torchprt.shade.batches import light_product
+from torchprt.transfer import Signal
+
+
+class SignalModule(nn.Module, abc.ABC):
+    """The transfer matrices `[C, M, N]` of G receivers in buffers; M = 1 for transfer vectors.
+
+    A subclass is made from its stored signal as `(signal, dtype, learn, lost, **choices)`: names in `learn` become
+    parameters, receivers in `lost` have nothing, `choices` are those that it names. It must say `toward`; everything
+    else follows from that, and is overridden where there is a faster way.
+    It is registered for the stored signal with `signal_module.register`.
+    """
+
+    learnable: ClassVar[tuple[str, ...]] = ()
+    choices: ClassVar[tuple[str, ...]] = ()
+    follows_pose: ClassVar[bool] = False
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int, int, int]:
+        """G, C, M, N."""
+
+    @abc.abstractmethod
+    def toward(
+        self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None = None
+    ) -> Float[Tensor, "C N ..."]:
+        """Transfer vectors `sum_i values_i M_ij`, `[C, N, *B, G]`, in a pose; without `values` those that are stored."""
+
+    def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
+        """`sum_j M_ij light_j`, at rest."""
+        receivers, _, rows, _ = self.shape
+        single = torch.eye(rows, dtype=light.dtype, device=light.device)[:, None].expand(rows, receivers, rows)
+        return light_product(light.unsqueeze(-3), self.toward(single)).transpose(-3, -2)
+
+    def applied(self, columns: Float[Tensor, "N K"]) -> Float[Tensor, "G K"]:
+        """`vectors @ columns` of vectors with one channel."""
+        return self.toward(None)[0].mT @ columns
+
+    def radiance(
+        self,
+        light: Float[Tensor, "*#B N 3"],
+        values: Float[Tensor, "*#B G M"] | None,
+        frames: Float[Tensor, "*#B G 3 3"] | None = None,
+        *,
+        out: Tensor | None = None,
+    ) -> Float[Tensor, "... 3 G"]:
+        """`sum_ij values_i M_ij light_j` in the order that is fastest, `[*B, 3, G]`; `out` as for `light_product`."""
+        return light_product(light, self.toward(values, frames), out=out)
+
+
+@functools.singledispatch
+def signal_module(
+    signal: Signal, dtype: torch.dtype, learn: Collection[str], lost: Tensor | None, **choices: Any
+) -> SignalModule:
+    """The module of a stored signal, by its class."""
+    raise InputError(f"a signal of kind '{signal.kind}' has no shader: register one with shade.signal_module.register")
+
+
+def hold(module: nn.Module, name: str, value: Tensor, learned: bool) -> None:
+    """Makes a buffer of `value`, or a parameter, which is a copy."""
+    if learned:
+        module.register_parameter(name, nn.Parameter(value.clone()))
+    else:
+        module.register_buffer(name, value)

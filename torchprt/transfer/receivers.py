@@ -1,0 +1,118 @@
+"""Where transfer is recorded, and how its radiance gets back to what is drawn."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
+
+
+@dataclass(kw_only=True)
+class Receivers(Part, abc.ABC):
+    """V receivers: `positions [V, 3]`, unit `normals [V, 3]` (zero where there is none), `faces [F, 3]` to draw."""
+
+    family: ClassVar[dict[str, type[Any]]] = {}
+
+    positions: Any
+    normals: Any
+    faces: Any
+
+    @property
+    def count(self) -> int:
+        """Number of receivers V."""
+        return len(self.positions)
+
+    def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
+        """Values of the receivers in the order that they have in what was baked."""
+        return values
+
+    def as_texels(self) -> Texels:
+        """These, if they are the texels of a patch; InputError if not."""
+        raise InputError(
+            "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
+        )
+
+
+@dataclass(kw_only=True)
+class Vertices(Receivers):
+    """Vertices of meshes one after the other, or loose points, in the world frame.
+
+    - `positions [V, 3]`, `normals [V, 3]`, `faces [F, 3]`: what to draw; `faces` is empty for loose points. Two-sided
+      objects record twice: the receivers of all first sides come first, then the reverse sides.
+    - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
+      None.
+    """
+
+    kind: ClassVar[str] = "vertices"
+    layouts: ClassVar[dict[str, Layout]] = {
+        "positions": Layout(("V", "3"), REAL),
+        "normals": Layout(("V", "3"), REAL),
+        "faces": Layout(("F", "3"), WHOLE),
+        "original": Layout(("V",), WHOLE, optional=True),
+    }
+
+    positions: Tensor
+    normals: Tensor
+    faces: Tensor
+    original: Tensor | None = None
+
+    def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
+        return values if self.original is None else values[..., self.original.argsort(), :]
+
+    def check(self, of: str = "") -> None:
+        """InputError if a tensor holds NaN or infinity, or an index names no vertex."""
+        super().check(of)
+        check_indices("faces", self.faces, self.count)
+        order = self.original
+        if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
+            raise InputError("original of the transfer does not name every vertex once: compress it again")
+
+
+@dataclass(kw_only=True)
+class Texels(Receivers):
+    """The H x W texels of a patch that surfaces are covered with (`shade.lay`), row after row, in its tangent frame.
+
+    x runs along u, y along v, z along the normal of whatever the patch is laid on. Texel (row, column) is centred at
+    v = (row + .5) / rows, u = (column + .5) / columns: that is where its place on the flat patch is.
+    `tiles_u`, `tiles_v`: whether the patch repeats itself beyond 0 and 1; else its border goes on.
+    Raises InputError without texels.
+    """
+
+    kind: ClassVar[str] = "texels"
+
+    rows: int
+    columns: int
+    tiles_u: bool = True
+    tiles_v: bool = True
+    positions: Any = None
+    normals: Any = None
+    faces: Any = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rows < 1 or self.columns < 1:
+            raise InputError(f"map of the transfer has {self.rows} x {self.columns} texels: it must have 1 x 1 or more")
+        self.positions, self.faces = _grid(self.rows, self.columns)
+        self.normals = torch.tensor([0.0, 0.0, 1.0]).expand(self.count, 3)
+
+    def metadata(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("rows", "columns", "tiles_u", "tiles_v")}
+
+    def as_texels(self) -> Texels:
+        return self
+
+
+def _grid(rows: int, columns: int) -> tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]]:
+    """Places of texels on the unit square, and two triangles between each four."""
+    v, u = torch.meshgrid((torch.arange(rows) + 0.5) / rows, (torch.arange(columns) + 0.5) / columns, indexing="ij")
+    number = torch.arange(rows * columns, dtype=torch.int32).reshape(rows, columns)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    faces = torch.cat([torch.stack([a, b, c], -1).reshape(-1, 3), torch.stack([a, c, d], -1).reshape(-1, 3)])
+    return torch.stack([u, v, torch.zeros_like(u)], -1).reshape(-1, 3), faces

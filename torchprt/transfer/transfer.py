@@ -1,0 +1,156 @@
+"""What a bake leaves: where it was recorded, what is seen there, and what is known of the bake."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.transfer.dense import Dense
+from torchprt.transfer.layer import Diffuse, Layer
+from torchprt.transfer.receivers import Receivers, Vertices
+
+Transport = Literal["unshadowed", "shadowed", "interreflected"]
+
+
+@dataclass(kw_only=True)
+class Transfer:
+    """Exit radiance of V receivers as a linear function of the light: the sum of `layers`.
+
+    - `receivers`: where: `Vertices`, or the `Texels` of a patch.
+    - `layers`: what is seen, by name, as `Diffuse` or `Exit`; each says of which receivers, and its `signal` how the
+      numbers are stored: `Dense`, `Clustered` or `Zonal`. Any layer may have any signal that it accepts.
+    - `transport`: "unshadowed", "shadowed" or "interreflected"; `bounces`: how many were added.
+    - `rays`: hemisphere directions a receiver (0 if none was traced); `seed`: of the direction set.
+    - `error`: estimated RMS error of a coefficient of the last layer from the finite number of rays, over all
+      receivers, and `signal`: RMS of a coefficient, so that `error / signal` is relative; both None if nothing was
+      sampled. `version`: of the torchprt that baked it.
+
+    Raises InputError if there is no layer, or layers are of other receivers or orders; `check()` also looks at values.
+    """
+
+    receivers: Receivers
+    layers: Mapping[str, Layer]
+    transport: Transport = "shadowed"
+    bounces: int = 0
+    rays: int = 0
+    seed: int = 0
+    error: float | None = None
+    signal: float | None = None
+    version: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.layers:
+            raise InputError("the transfer has no layer: give one or more")
+        for name, layer in self.layers.items():
+            if not name.isidentifier():
+                raise InputError(f"layer '{name}' of the transfer: give it a name of letters, digits and underscores")
+            layer.check_among(self.vertices)
+        orders = {layer.order for layer in self.layers.values()}
+        if len(orders) > 1:
+            raise InputError(f"layers of the transfer are of orders {sorted(orders)}: all must be of that of the light")
+
+    @property
+    def kind(self) -> str:
+        """What its layers are and how they are stored: "diffuse", "diffuse + clustered exit"."""
+        stored = [(layer.signal.kind, layer.kind) for layer in self.layers.values()]
+        return " + ".join(kind if signal == Dense.kind else f"{signal} {kind}" for signal, kind in stored)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a picture of it takes beside the light: "eye", "pose" (if all its signals follow one) and "reflectance"
+        (if that is chosen when a shader is made)."""
+        needs = frozenset[str]().union(*(layer.needs for layer in self.layers.values()))
+        posed = all(layer.signal.follows_pose for layer in self.layers.values())
+        return needs | {"pose"} if posed else needs
+
+    @property
+    def order(self) -> int:
+        """Number of SH bands of the light."""
+        return next(iter(self.layers.values())).order
+
+    @property
+    def channels(self) -> int:
+        """3 if light bounced off coloured surfaces, else 1."""
+        return max(layer.signal.shape[1] for layer in self.layers.values())
+
+    @property
+    def vertices(self) -> int:
+        """Number of receivers V."""
+        return self.receivers.count
+
+    @property
+    def positions(self) -> Float[Tensor, "V 3"]:
+        """Where the receivers are."""
+        return self.receivers.positions
+
+    @property
+    def normals(self) -> Float[Tensor, "V 3"]:
+        """Their unit normals, zero where there is none."""
+        return self.receivers.normals
+
+    @property
+    def faces(self) -> Int[Tensor, "F 3"]:
+        """Triangles between them."""
+        return self.receivers.faces
+
+    @property
+    def albedo(self) -> Float[Tensor, "V|1 3|1"]:
+        """That of the diffuse layer, zero if there is none."""
+        found = [layer for layer in self.layers.values() if isinstance(layer, Diffuse) and layer.receivers is None]
+        return found[0].albedo if found else torch.zeros(1, 1, device=self.positions.device)
+
+    @property
+    def eye_layers(self) -> dict[str, Layer]:
+        """The layers that depend on the eye."""
+        return {name: layer for name, layer in self.layers.items() if "eye" in layer.needs}
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the transfer of all layers, which is what compression lowers."""
+        return sum(layer.bytes for layer in self.layers.values())
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What is known of the bake, by name: all but receivers and layers."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in fields.items() if name not in ("receivers", "layers")}
+
+    def with_layers(self, **layers: Layer) -> Transfer:
+        """The same with these layers in place of those of their names, or after the others."""
+        return dataclasses.replace(self, layers={**self.layers, **layers})
+
+    def to_order(self, order: int) -> Transfer:
+        """For lights of the first `order` bands. Raises InputError unless 1 <= order <= self.order."""
+        return self.with_layers(**{name: layer.to_order(order) for name, layer in self.layers.items()})
+
+    def to(self, dtype: torch.dtype) -> Transfer:
+        """The same with all signals stored as `dtype` (float16 and bfloat16 halve the bytes)."""
+        return self.with_layers(**{name: layer.to(dtype) for name, layer in self.layers.items()})
+
+    def check(self) -> None:
+        """Raises InputError if a tensor holds NaN or infinity, a weight leaves [0, 1], or an index names nothing."""
+        self.receivers.check()
+        for name, layer in self.layers.items():
+            layer.check(f"{name}.")
+
+
+def diffuse_transfer(
+    vectors: Float[Tensor, "C N V"],
+    albedo: Float[Tensor, "V|1 3|1"],
+    positions: Float[Tensor, "V 3"],
+    normals: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    **provenance: Any,
+) -> Transfer:
+    """Transfer of one diffuse layer of these vectors at the vertices of a mesh; see `Diffuse` and `Transfer`."""
+    vertices = Vertices(positions=positions, normals=normals, faces=faces)
+    return Transfer(
+        receivers=vertices, layers={"diffuse": Diffuse(albedo=albedo, signal=Dense(values=vectors))}, **provenance
+    )
