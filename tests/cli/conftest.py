@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 from environments import lamp, save_exr
@@ -97,3 +98,14 @@ def done(run):
         return ended.out
 
     return done
+
+
+@pytest.fixture
+def shaded(done, folder, tmp_path):
+    """Radiance by way of an .npy file."""
+
+    def shaded(light, *options, transfer=folder / "ball.safetensors"):
+        done("shade", transfer, "--light", light, "-o", tmp_path / "shaded.npy", *options)
+        return np.load(tmp_path / "shaded.npy")
+
+    return shaded

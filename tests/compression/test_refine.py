@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from torchprt.compression import clustered_pca
-from torchprt.compression.passes import Passes
 from torchprt.compression.refine import grow, hand_out, missed_least, surplus
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.subspaces import Subspaces, fit, runners_up
 
 

@@ -13,9 +13,9 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from torchprt import sh
-from torchprt.brdf.cells import cell_integrals
 from torchprt.brdf.half import half_rule
 from torchprt.brdf.models import Brdf
+from torchprt.brdf.table_integrals import cell_integrals
 from torchprt.brdf.tabulated import Tabulated
 from torchprt.errors import InputError
 

@@ -1,6 +1,6 @@
 """The `torchprt` command."""
 
-from .verbs import app as app
-from .verbs import main as main
+from .command import app as app
+from .command import main as main
 
 __all__ = ["app", "main"]

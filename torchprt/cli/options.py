@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from torchprt.cli.report import say
 from torchprt.errors import InputError
@@ -24,6 +26,11 @@ LARGEST = 4096
 WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "incident", "visibility")
 PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
+
+Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
+OpenGloss = Annotated[
+    str | None, typer.Option("--material", help="The gloss, for a bake of frame incident: phong:40, ggx:0.3, ...")
+]
 
 
 def numbers(text: str, count: int | None, option: str) -> list[float]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torchprt.transfer import CompressedTransfer, Transfer, ZonalFactoredTransfer, ZonalTransfer
+    from torchprt.transfer import CompressedTransfer, Transfer, ZonalFactoredTransfer, ZonalMap, ZonalTransfer
 
 
 def say(what: Any) -> None:
@@ -40,6 +40,18 @@ def describe(transfer: Transfer) -> str:
     if transfer.error is not None and transfer.signal:
         parts.append(f"error {transfer.error / transfer.signal:.2%} (RMS, Monte Carlo estimate)")
     return ", ".join(parts)
+
+
+def describe_map(baked: ZonalMap) -> str:
+    """Size, lobes and error of the map of a patch in a line."""
+    rows, columns = baked.size
+    fitted = "" if baked.fit_error is None else f", fit {baked.fit_error:.2%}"
+    smooth = ", smooth" if baked.smooth else ""
+    tiles = "tiles" if baked.tiles_u and baked.tiles_v else "a single patch"
+    return (
+        f"map of {rows} x {columns} texels, {baked.transport}, order {baked.order}, {baked.lobes} lobes{smooth}, "
+        f"{tiles}, {baked.bytes / 1024:.0f} kB{fitted}"
+    )
 
 
 def _stored(transfer: Any) -> Tensor:

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from torchprt.compression.passes import Passes
-from torchprt.compression.signal import check, normalised
+from torchprt.compression.clustering_data import check, normalised
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.subspaces import Subspaces, classify, fill_empty, means, one_thread
 
 # Passes over all points, at most, as in figure 2 of Sloan et al. 2003.

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float, Int, Integer
 from torch import Tensor
 
+from torchprt.compression.clustering_data import check
 from torchprt.compression.cpca import ClusteredPca, project
 from torchprt.compression.importance import root_of, weighed
-from torchprt.compression.signal import check
 from torchprt.compression.subspaces import Subspaces, fit, groups, one_thread, pieces
 from torchprt.errors import InputError
 

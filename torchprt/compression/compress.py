@@ -8,7 +8,7 @@ from typing import Any, overload
 from torch import Tensor
 
 from torchprt.compression.checkpoint import Checkpoint
-from torchprt.compression.passes import Passes
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.search import Sizes, candidates, corrected
 from torchprt.compression.transfer import Method, check_kind, encode, other_bytes, signal_of, stored_signal
 from torchprt.errors import InputError

@@ -11,11 +11,11 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from torchprt.compression.checkpoint import Checkpoint
+from torchprt.compression.clustering_data import check, normalised
 from torchprt.compression.clusters import PASSES, quantise
 from torchprt.compression.importance import root_of, weighed
-from torchprt.compression.passes import Passes
 from torchprt.compression.refine import adapt, grow, surplus
-from torchprt.compression.signal import check, normalised
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.subspaces import Advance, Subspaces, fit, groups, one_thread, pieces, silent
 from torchprt.errors import InputError
 from torchprt.progress import Report, Silent

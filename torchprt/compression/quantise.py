@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from torchprt.compression.clustering_data import check
 from torchprt.compression.cpca import ClusteredPca
 from torchprt.compression.importance import root_of
-from torchprt.compression.signal import check
 from torchprt.compression.subspaces import groups, one_thread, pieces
 from torchprt.errors import InputError
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchprt.compression.passes import Passes, Stage
+from torchprt.compression.resumable_passes import Passes, Stage
 from torchprt.compression.subspaces import Advance, Subspaces, classify, fill_empty, fit, runners_up, silent
 
 # Clusters to begin with, in multiples of those to end with; those missed least are dropped in so many steps, with so

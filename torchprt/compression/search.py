@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchprt.compression.clustering_data import DIMENSIONS, check, normalised
 from torchprt.compression.clusters import quantise
 from torchprt.compression.importance import root_of, weighed
-from torchprt.compression.passes import Passes
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.shared_axes import moments
-from torchprt.compression.signal import DIMENSIONS, check, normalised
 from torchprt.compression.subspaces import Advance, classify, fill_empty, fit, one_thread
 
 # Points that stand for all of them, fewer if they are wide; clusters are as many fewer, so that a cluster has as many.

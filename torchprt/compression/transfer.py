@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchprt.compression.coherence import make_coherent
 from torchprt.compression.cpca import ClusteredPca, pack
-from torchprt.compression.passes import Passes
 from torchprt.compression.quantise import QuantisedPca, quantise
+from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.shared_axes import shared_axes
 from torchprt.errors import InputError
 from torchprt.transfer import (

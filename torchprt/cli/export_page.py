@@ -1,15 +1,14 @@
-"""What `export` writes beside the graph: a page, or a mesh that carries its transfer."""
+"""What `torchprt export --web` writes: the folder of a page."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from torchprt.cli import options
 from torchprt.cli.report import say
-from torchprt.errors import InputError
 
 if TYPE_CHECKING:
     from torchprt.brdf import Brdf
@@ -17,14 +16,7 @@ if TYPE_CHECKING:
     from torchprt.transfer import Transfer
 
 
-def refuse(given: Mapping[str, Any], written: str) -> None:
-    """InputError if one of these options has a value, which `written` has no use for."""
-    for option, value in given.items():
-        if value is not None:
-            raise InputError(f"{option} is given, but {written} has no use for it: leave it out")
-
-
-def page(
+def export_page(
     transfer: Transfer,
     folder: Path,
     lights: Sequence[Path] | None,
@@ -48,15 +40,6 @@ def page(
     if report.parity is not None:
         say(report.parity)
     say(f"look at it with: torchprt serve {folder}")
-
-
-def mesh(transfer: Transfer, path: Path, order: int | None) -> None:
-    """Writes the `.glb` with transfer of low order as attributes."""
-    from torchprt.preview import save_transfer_glb
-
-    bands = min(3, transfer.order) if order is None else order
-    save_transfer_glb(transfer, path, bands)
-    say(f"{path}: {transfer.vertices} vertices, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
 
 
 def _environment(path: Path, order: int) -> Environment:

@@ -1,4 +1,4 @@
-"""A signal made ready to be clustered: checked, centred, of unit size, in few dimensions."""
+"""The data that are clustered, made ready for it: checked, centred, of unit size, in few dimensions."""
 
 from __future__ import annotations
 

@@ -1,27 +1,24 @@
-"""The verbs of texture patches: bake one, and lay it on a mesh."""
+"""`torchprt patch`: a relief to a map of zonal lobes."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from torchprt.cli import options
-from torchprt.cli.report import complain, describe, details, say
+from torchprt.cli.report import complain, describe_map, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
-
-if TYPE_CHECKING:
-    from torchprt.transfer import ZonalMap
 
 MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
 
 
 def patch(
     relief: Annotated[Path, typer.Argument(help="An image of heights, or a mesh over the unit square with z up.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    output: options.Output,
     depth: Annotated[
         float | None, typer.Option(help="Image: of white above black, in tiles.", show_default="0.1")
     ] = None,
@@ -71,41 +68,4 @@ def patch(
         complain("stopped; nothing is written")
         raise typer.Exit(130) from None
     save_map(baked, output)
-    say(f"{output}: {told(baked)}, baked in {time.perf_counter() - start:.1f} s")
-
-
-def lay(
-    map: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt patch` wrote.")],
-    mesh: Annotated[Path, typer.Argument(help="A mesh with texture coordinates.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
-    repeat: Annotated[str, typer.Option(help="Patches from 0 to 1 along u,v.")] = "1,1",
-) -> None:
-    """Cover a mesh with a patch: transfer that turns with the surface when it bends."""
-    from torchprt import shade as room
-    from torchprt import transfer as kinds
-    from torchprt.scene import read_mesh
-
-    check_writable(output, (".safetensors",))
-    u, v = options.numbers(repeat, 2, "--repeat")
-    baked = kinds.load_map(map)
-    surface = read_mesh(mesh)
-    if surface.uv is None:
-        raise InputError(f"{mesh} has no texture coordinates: unwrap it (a patch is laid on through them)")
-    arrays = (surface.positions.float(), surface.faces.int(), surface.uv)
-    laid = room.lay(baked, *arrays, repeat=(u, v), normals=surface.normals)
-    kinds.save(laid, output)
-    say(f"{output}: {describe(laid)}")
-    for line in details(laid)[1:]:
-        say(line)
-
-
-def told(baked: ZonalMap) -> str:
-    """What a map is, in a line."""
-    rows, columns = baked.size
-    fitted = "" if baked.fit_error is None else f", fit {baked.fit_error:.2%}"
-    smooth = ", smooth" if baked.smooth else ""
-    tiles = "tiles" if baked.tiles_u and baked.tiles_v else "a single patch"
-    return (
-        f"map of {rows} x {columns} texels, {baked.transport}, order {baked.order}, {baked.lobes} lobes{smooth}, "
-        f"{tiles}, {baked.bytes / 1024:.0f} kB{fitted}"
-    )
+    say(f"{output}: {describe_map(baked)}, baked in {time.perf_counter() - start:.1f} s")

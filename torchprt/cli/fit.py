@@ -1,4 +1,4 @@
-"""The verb that makes a bake follow a surface that deforms."""
+"""`torchprt fit`: transfer to zonal lobes, which follow a surface that deforms."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Annotated
 
 import typer
 
+from torchprt.cli import options
 from torchprt.cli.report import complain, describe, details, say
 from torchprt.files import check_writable
 
 
 def fit(
     transfer: Annotated[Path, typer.Argument(help="Diffuse or factored, as `torchprt bake` wrote it.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    output: options.Output,
     lobes: Annotated[int, typer.Option(min=1, max=64, help="Zonal lobes a vertex, or a row of gloss.")] = 4,
     smooth: Annotated[bool, typer.Option("--smooth", help="Lobes of neighbours correspond: they interpolate.")] = False,
     smoothness: Annotated[

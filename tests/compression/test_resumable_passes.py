@@ -9,7 +9,7 @@ from safetensors.torch import load_file, save_file
 from torchprt.checkpoint import CheckpointWarning
 from torchprt.compression import clustered_pca, compress
 from torchprt.compression.checkpoint import Checkpoint
-from torchprt.compression.passes import Passes
+from torchprt.compression.resumable_passes import Passes
 from torchprt.errors import InputError
 
 METHODS = {

@@ -1,20 +1,13 @@
-"""Do the other ways out (a page, models as glTF, a server) end where the command line promises?"""
+"""Does a bake leave as a graph, as a page, as a mesh that carries its transfer?"""
 
 import importlib
 import json
-import re
-import signal
-import subprocess
-import sys
-import urllib.request
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 from environments import lamp, save_exr
 
-from torchprt.preview import linear_colours
 from torchprt.transfer import load
 
 
@@ -50,6 +43,13 @@ def test_options_that_have_no_use_are_refused(refused, folder, tmp_path, monkeyp
     refused(*words, arguments=["export", folder / "ball.safetensors", *options])
 
 
+def test_an_export_from_an_environment_says_so(done, folder, tmp_path, untyped):
+    done("export", folder / "ball.safetensors", "-o", tmp_path / "b.onnx", "--from", "environment", "--size", 4)
+    said = done("info", tmp_path / "b.onnx")
+    assert "source: environment" in said
+    assert "('B', 6, 4, 4, 3)" in said
+
+
 def test_a_page_is_written_with_the_lights_that_were_named(done, folder, tmp_path, no_npm, untyped):
     save_exr(tmp_path / "north.exr", lamp((0.0, 0.0, -1.0)))
     done("light", tmp_path / "north.exr", "-o", tmp_path / "coded.npy", "--order", 4)
@@ -76,50 +76,9 @@ def test_a_page_takes_its_title_from_the_file_and_its_lights_from_the_samples(do
     assert len(about["environments"]) == 4
 
 
-def test_a_fixed_light_leaves_as_gltf_with_linear_colours(done, folder, tmp_path):
-    options = ["--light", folder / "lamp.exr", "--exposure", 0.5]
-    done("shade", folder / "ball.safetensors", "-o", tmp_path / "a.glb", *options)
-    done("shade", folder / "ball.safetensors", "-o", tmp_path / "a.npy", *options)
-    (mesh,) = trimesh.load(tmp_path / "a.glb", process=False).geometry.values()
-    bake = load(folder / "ball.safetensors")
-    np.testing.assert_array_equal(mesh.vertices, bake.positions)
-    np.testing.assert_array_equal(mesh.faces, bake.faces)
-    expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")), 0.5)
-    np.testing.assert_array_equal(mesh.visual.vertex_attributes["color"], expected)
-
-
 def test_transfer_leaves_as_attributes(done, folder, tmp_path):
     said = done("export", folder / "ball.safetensors", "-o", tmp_path / "a.glb", "--order", 2)
     assert "order 2 in _PRT_n" in said
     (mesh,) = trimesh.load(tmp_path / "a.glb", process=False).geometry.values()
     np.testing.assert_array_equal(mesh.vertex_attributes["_PRT_0"], load(folder / "ball.safetensors").transfer[0, :4].T)
     assert "order 3" in done("export", folder / "ball.safetensors", "-o", tmp_path / "b.glb")
-
-
-def test_serving_what_is_no_page_is_refused(refused, tmp_path):
-    refused("index.html", "--web", arguments=["serve", tmp_path])
-
-
-def test_a_page_is_served_until_ctrl_c(tmp_path):
-    (tmp_path / "index.html").write_text("a page")
-    command = [sys.executable, "-m", "torchprt", "serve", str(tmp_path), "--port", "0"]
-    with subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A shell that runs the tests in the background makes its children deaf to Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    ) as server:
-        try:
-            assert server.stdout is not None
-            address = re.search(r"http://127\.0\.0\.1:\d+/", server.stdout.readline())
-            assert address
-            with urllib.request.urlopen(address[0], timeout=20) as answer:
-                assert answer.read() == b"a page"
-            server.send_signal(signal.SIGINT)
-            _, complaints = server.communicate(timeout=20)
-        finally:
-            server.kill()
-    assert server.returncode == 0
-    assert complaints == ""

@@ -1,28 +1,20 @@
-"""The verbs that are looked at: stills, turntables, the window."""
+"""`torchprt render`: stills and turntables of a bake, without a display."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from torchprt.cli import options
-from torchprt.cli.report import describe, say
+from torchprt.cli.environments import STUDIO, environment_of
+from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
 
-if TYPE_CHECKING:
-    from torchprt.preview import Environment
-
-# Environments for whoever has none at hand.
-STUDIO, SKY = "studio", "sky"
 MOST = 720
-
-Chosen = Annotated[
-    str | None, typer.Option("--material", help="The gloss, for a bake of frame incident: phong:40, ggx:0.3, ...")
-]
 
 
 def render(
@@ -43,7 +35,7 @@ def render(
     ] = None,
     tone: Annotated[str, typer.Option(help="filmic or none.")] = "filmic",
     rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
-    material: Chosen = None,
+    material: options.OpenGloss = None,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
     """Picture of a bake, or a turntable of them, without a display. Glossy surfaces follow the camera."""
@@ -65,7 +57,7 @@ def render(
         raise InputError(f"--exposure is {exposure}: give stops from -100 to 100")
     loaded = prt.load_transfer(transfer)
     chosen = options.gloss_of(loaded, material)
-    environment = _environment(light, loaded.order, repair)
+    environment = environment_of(light, loaded.order, repair)
     environment = dataclasses.replace(environment, light=options.windowed(environment.light, window))
     if background and environment.image is None:
         raise InputError(f"--background is given, but {light} is no image: give one as --light")
@@ -93,59 +85,3 @@ def render(
         preview.save_png(preview.strip(pictures), output)
     count = "1 picture" if len(pictures) == 1 else f"{len(pictures)} pictures"
     say(f"{output}: {count} of {width} x {height}, exposure {stops:+.2f} stops, under {environment.name}")
-
-
-def preview(
-    bakes: Annotated[
-        list[Path], typer.Argument(help="Bakes of one mesh: a .safetensors, or also with bounces, or compressed.")
-    ],
-    light: Annotated[
-        list[str] | None,
-        typer.Option(help="An environment image, an .npy, studio or sky (repeatable).", show_default="studio and sky"),
-    ] = None,
-    size: Annotated[str, typer.Option(help="Of the window, in pixels.")] = "1024x768",
-    poses: Annotated[
-        Path | None, typer.Option(help="Gives a bake in zonal lobes these poses, .npy of T x V x 3; else it bends.")
-    ] = None,
-    tone: Annotated[str, typer.Option(help="filmic or none.")] = "filmic",
-    material: Chosen = None,
-    repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
-) -> None:
-    """Open a window in which the model and its light turn. Its keys are printed, and shown by H."""
-    import torchprt as prt
-    from torchprt import preview
-
-    shape = options.size(size)
-    options.choice(tone, "--tone", ("filmic", "none"))
-    preview.check_window()
-    opened = {_name(path, bakes): prt.load_transfer(path) for path in bakes}
-    for name, transfer in opened.items():
-        say(f"{name}: {describe(transfer)}")
-    # Those whose reflectance is open, if there are any; the others say that theirs is not.
-    incident = [transfer for transfer in opened.values() if transfer.kind.endswith("incident")]
-    chosen = options.gloss_of((incident or list(opened.values()))[0], material)
-    highest = max(transfer.order for transfer in opened.values())
-    lights = [_environment(each, highest, repair) for each in light or (STUDIO, SKY)]
-    moves = None if poses is None else options.positions(poses)
-    session = preview.Session(opened, lights, brdf=chosen, tone=preview.tone_map(tone), poses=moves)
-    preview.show(session, size=shape, name=f"torchprt {bakes[0].stem}", say=say)
-
-
-def _name(path: Path, among: list[Path]) -> str:
-    return path.stem if [each.stem for each in among].count(path.stem) == 1 else str(path)
-
-
-def _environment(word: str, order: int, repair: bool) -> Environment:
-    """The environment of a file, or one that is always there."""
-    from torchprt import light, sh
-    from torchprt.preview import Environment
-
-    path = Path(word)
-    if word == SKY:
-        # A sun is too small for any order: the weakest window that leaves no negative light.
-        sky = light.clear_sky((0.55, 0.6, 0.5), 3.0, order)
-        return Environment(word, sh.least_window(sky)[0].float())
-    if path.suffix.lower() == ".npy":
-        return Environment(path.name, light.read_coefficients(path, order))
-    image = light.studio(256) if word == STUDIO else options.environment(path, repair)
-    return Environment(path.name, light.project(image, order), image)

@@ -1,20 +1,16 @@
-"""Do `render` and `preview` show what they are asked for, and say why where they cannot?"""
+"""Does `render` show what it is asked for, and say why where it cannot?"""
 
-import os
 import subprocess
 import sys
 
 import numpy as np
 import PIL.Image
 import pytest
-import torch
 from environments import lamp, save_exr
 from transfers import random_glossy
 from zonal_transfers import random_zonal
 
 import torchprt as prt
-from torchprt.cli import options
-from torchprt.errors import InputError
 
 
 def pixels(path):
@@ -123,49 +119,6 @@ def test_every_kind_of_bake_is_rendered(done, make_transfer, tmp_path, kind):
     assert pixels(tmp_path / "a.png").std() > 1
 
 
-# The window
-
-
-@pytest.mark.parametrize("display", [None, ":54321", "nowhere.invalid:0"])
-def test_without_a_display_preview_names_the_way_without(folder, display):
-    pytest.importorskip(
-        "open3d", exc_type=ImportError, reason="Open3D is not installed: pip install 'torchprt[preview]'"
-    )
-    kept = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    if display is not None:
-        kept["DISPLAY"] = display
-    command = [sys.executable, "-m", "torchprt", "preview", folder / "ball.safetensors"]
-    ended = subprocess.run(list(map(str, command)), capture_output=True, text=True, env=kept, check=False, timeout=300)
-    assert ended.returncode == 2
-    assert ended.stdout == ""
-    assert ended.stderr.startswith("torchprt: there is no display")
-    assert "`torchprt render`" in ended.stderr
-    assert ended.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "fault", [ModuleNotFoundError("No module named 'open3d'"), OSError("libusb-1.0.so.0: not found")]
-)
-def test_without_open3d_preview_says_what_to_install(refused, folder, monkeypatch, fault):
-    class Refuses:
-        def find_spec(self, name, path=None, target=None):
-            if name == "open3d":
-                raise fault
-            return None
-
-    for name in [name for name in sys.modules if name.split(".")[0] == "open3d"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "meta_path", [Refuses(), *sys.meta_path])
-    words = ["pip install 'torchprt[preview]'", "libusb-1.0-0 libgl1 libegl1", "`torchprt render`"]
-    if isinstance(fault, OSError):
-        words.append("libusb-1.0.so.0: not found")
-    refused(*words, arguments=["preview", folder / "ball.safetensors"])
-
-
-def test_preview_refuses_a_size_before_anything_else(refused, folder):
-    refused("--size is 'x'", arguments=["preview", folder / "ball.safetensors", "--size", "x"])
-
-
 def test_rendering_needs_neither_open3d_nor_matplotlib(folder, tmp_path):
     code = (
         "import sys\n"
@@ -178,25 +131,3 @@ def test_rendering_needs_neither_open3d_nor_matplotlib(folder, tmp_path):
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines()[-1].split() == ["LOADED"]
-
-
-# Poses
-
-
-def test_poses_are_read(tmp_path):
-    values = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
-    np.save(tmp_path / "a.npy", values)
-    found = options.positions(tmp_path / "a.npy")
-    assert found.dtype == torch.float64
-    assert np.array_equal(found.numpy(), values)
-
-
-@pytest.mark.parametrize("content", [None, b"", b"no array", np.zeros((4, 3)), np.zeros((2, 4, 2)), np.array(["a"])])
-def test_refuses_what_holds_no_poses(tmp_path, content):
-    path = tmp_path / "a.npy"
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        np.save(path, content)
-    with pytest.raises(InputError, match=r"a\.npy"):
-        options.positions(path)

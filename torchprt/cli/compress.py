@@ -1,4 +1,4 @@
-"""The verb that makes a bake small."""
+"""`torchprt compress`: transfer to less of it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
 
 def compress(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
+    output: options.Output,
     clusters: Annotated[
         int | None, typer.Option(min=1, help="How many groups of vertices.", show_default="256")
     ] = None,

@@ -1,0 +1,177 @@
+"""Is a bake lit from where the light is, in the order of the file, in numbers, pictures and models?"""
+
+import math
+
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+import trimesh
+from environments import lamp, save_exr
+
+from torchprt.preview import linear_colours
+from torchprt.scene import read_mesh
+from torchprt.transfer import load
+
+EPSILON = np.finfo(np.float32).eps
+
+
+# The order of vertices
+
+
+def test_radiance_comes_in_the_order_of_the_file_with_duplicates_and_strays(done, shaded, tmp_path):
+    """A tetrahedron in a shuffled file: a vertex is there three times, two belong to no face."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
+    rows = [(9, 9, 9), *corners[[2, 0]], corners[0], (8, 8, 8), corners[3], corners[0], corners[1]]
+    # Corner 0 is vertex 2, 3 and 6, one for each face that meets there.
+    faces = [(2, 7, 1), (3, 5, 7), (6, 1, 5), (7, 5, 1)]
+    text = "".join("v {} {} {}\n".format(*row) for row in rows) + "".join(
+        "f {} {} {}\n".format(*(corner + 1 for corner in face)) for face in faces
+    )
+    (tmp_path / "a.obj").write_text(text)
+    said = done("bake", tmp_path / "a.obj", "-o", tmp_path / "a.safetensors", "--rays", 64)
+    assert "2 vertices named by no face" in said
+    save_exr(tmp_path / "white.exr", np.ones((16, 32, 3)))
+    done("shade", tmp_path / "a.safetensors", "--light", tmp_path / "white.exr", "-o", tmp_path / "r.npy")
+    said = done("shade", tmp_path / "a.safetensors", "--light", tmp_path / "white.exr", "-o", tmp_path / "r.npy")
+    assert "2 of 8 vertices have no normal and read 0" in said
+    radiance = np.load(tmp_path / "r.npy")
+    assert radiance.shape == (8, 3)
+    assert (radiance[[0, 4]] == 0).all()
+    # A convex body of albedo .5 under a light of 1 everywhere; the projection of 16 rows is off by a hundredth.
+    np.testing.assert_allclose(radiance[[1, 2, 3, 5, 6, 7]], 0.5, atol=0.01)
+    mesh = read_mesh(tmp_path / "a.obj")
+    assert torch.equal(load(tmp_path / "a.safetensors").positions.double(), mesh.positions)
+
+
+# Which way is which
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, 2, -3)])
+def test_a_lamp_lights_the_side_that_it_is_on(direction, shaded, folder, tmp_path):
+    radiance = shaded(save_exr(tmp_path / "a.exr", lamp(direction)))
+    ball = trimesh.load(folder / "ball.ply", process=False).vertices
+    brightest = ball[radiance[:, 0].argmax()]
+    # The vertices of this ball are 18 degrees apart.
+    assert brightest @ direction / np.linalg.norm(direction) > math.cos(math.radians(12))
+
+
+def test_yaw_turns_from_z_to_x_pitch_from_y_to_z_roll_from_x_to_y(shaded, tmp_path):
+    cases = [("90,0,0", (0, 0, 1), (1, 0, 0)), ("0,90,0", (0, 1, 0), (0, 0, 1)), ("0,0,90", (1, 0, 0), (0, 1, 0))]
+    for text, before, after in cases:
+        turned = shaded(save_exr(tmp_path / "a.exr", lamp(before, height=64)), "--rotate", text)
+        there = shaded(save_exr(tmp_path / "a.exr", lamp(after, height=64)))
+        # The lamp's rim falls on other texels: a hundredth of its light.
+        np.testing.assert_allclose(turned, there, rtol=0, atol=0.02 * there.max())
+        assert np.abs(there - shaded(save_exr(tmp_path / "a.exr", lamp(before)))).max() > 0.5 * there.max()
+
+
+def test_yaw_is_the_image_with_its_columns_rolled(shaded, tmp_path):
+    """Photographs turn with `numpy.roll`: the columns lie around +y, and +z is toward the ends of the rows."""
+    image = lamp((0.3, 0.5, 1.0))
+    turned = shaded(save_exr(tmp_path / "a.exr", image), "--rotate", "90,0,0")
+    # The column of +z, the first, becomes that of +x, three quarters along: a quarter to the left.
+    rolled = shaded(save_exr(tmp_path / "a.exr", np.roll(image, -16, axis=1)))
+    # The same sums in another order, turned.
+    np.testing.assert_allclose(turned, rolled, rtol=0, atol=64 * EPSILON * rolled.max())
+    assert np.abs(turned - shaded(save_exr(tmp_path / "a.exr", np.roll(image, 16, axis=1)))).max() > 0.5
+
+
+# Pictures
+
+
+def pixels_of(path):
+    with PIL.Image.open(path) as opened:
+        return np.asarray(opened.convert("RGB")).astype(float)
+
+
+@pytest.mark.parametrize(
+    ("direction", "view", "side"),
+    [
+        ((1, 0, 0), "0,0,1", "right"),
+        ((-1, 0, 0), "0,0,1", "left"),
+        ((0, 1, 0), "0,0,1", "top"),
+        ((0, -1, 0), "0,0,1", "bottom"),
+        ((0, 0, -1), "1,0,0", "right"),
+        ((1, 0, 0), "0,0,-1", "left"),
+        ((1, 0, 0), "0,1,0", "right"),
+        ((0, 0, -1), "0,1,0", "top"),
+    ],
+)
+def test_a_lamp_lights_that_side_of_the_picture(direction, view, side, done, folder, tmp_path):
+    light = save_exr(tmp_path / "a.exr", lamp(direction))
+    arguments = ["shade", folder / "ball.safetensors", "--light", light, "-o", tmp_path / "a.png"]
+    done(*arguments, "--view", view, "--size", "90x60", "--tone", "none", "--exposure", -1)
+    picture = pixels_of(tmp_path / "a.png").mean(-1)
+    assert picture.shape == (60, 90)
+    halves = {"left": picture[:, :45], "right": picture[:, 45:], "top": picture[:30], "bottom": picture[30:]}
+    other = {"left": "right", "right": "left", "top": "bottom", "bottom": "top"}[side]
+    assert halves[side].mean() > 1.3 * halves[other].mean()
+
+
+@pytest.mark.parametrize("size", ["1x1", "64x48", "31x77"])
+def test_a_picture_has_the_size_that_was_asked_for(size, done, folder, tmp_path):
+    arguments = ["shade", folder / "ball.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.png"]
+    done(*arguments, "--size", size)
+    picture = pixels_of(tmp_path / "a.png")
+    assert "{1}x{0}".format(*picture.shape) == size
+    assert len(np.unique(picture)) > (20 if size != "1x1" else 0)
+
+
+def test_exposure_and_tone_change_the_picture_and_not_the_radiance(done, shaded, folder, tmp_path):
+    levels = []
+    for options in ([], ["--exposure", "2"], ["--exposure", "-2"], ["--tone", "none"]):
+        arguments = ["shade", folder / "ball.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.png"]
+        done(*arguments, "--size", "40x30", *options)
+        levels.append(pixels_of(tmp_path / "a.png").mean())
+    assert levels[2] < levels[0] < levels[1]
+    assert levels[3] != levels[0]
+    radiance = shaded(folder / "lamp.exr")
+    np.testing.assert_array_equal(shaded(folder / "lamp.exr", "--exposure", "3", "--tone", "none"), radiance)
+
+
+def test_a_lit_model_reloads_elsewhere_as_it_was(done, shaded, folder, tmp_path):
+    done(
+        "shade", folder / "ball.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.ply", "--tone", "none"
+    )
+    there, ball = (trimesh.load(path, process=False) for path in (tmp_path / "a.ply", folder / "ball.ply"))
+    np.testing.assert_array_equal(there.vertices, ball.vertices)
+    np.testing.assert_array_equal(there.faces, ball.faces)
+    linear = shaded(folder / "lamp.exr").astype(float).clip(0, 1)
+    # IEC 61966-2-1.
+    encoded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
+    np.testing.assert_allclose(there.visual.vertex_colors[:, :3], encoded, atol=0.51)
+
+
+def test_a_fixed_light_leaves_as_gltf_with_linear_colours(done, folder, tmp_path):
+    options = ["--light", folder / "lamp.exr", "--exposure", 0.5]
+    done("shade", folder / "ball.safetensors", "-o", tmp_path / "a.glb", *options)
+    done("shade", folder / "ball.safetensors", "-o", tmp_path / "a.npy", *options)
+    (mesh,) = trimesh.load(tmp_path / "a.glb", process=False).geometry.values()
+    bake = load(folder / "ball.safetensors")
+    np.testing.assert_array_equal(mesh.vertices, bake.positions)
+    np.testing.assert_array_equal(mesh.faces, bake.faces)
+    expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")), 0.5)
+    np.testing.assert_array_equal(mesh.visual.vertex_attributes["color"], expected)
+
+
+# Windows
+
+
+def test_a_window_takes_ringing_away_and_says_how_much_it_leaves(run, folder, tmp_path):
+    light = save_exr(tmp_path / "a.exr", lamp((0, 1, 0), radiance=1e4))
+    arguments = ["shade", folder / "ball.safetensors", "--light", light, "-o", tmp_path / "a.npy"]
+    plain = run(*arguments)
+    assert "have negative radiance" in plain.out
+    assert "--window auto" in plain.out
+    ringing = np.load(tmp_path / "a.npy").min()
+    assert ringing < 0
+    lowest = {}
+    for window in ("auto", "hann", "lanczos", "gauss"):
+        ended = run(*arguments, "--window", window)
+        assert ended.code == 0
+        lowest[window] = np.load(tmp_path / "a.npy").min()
+        assert ("least window" in ended.out) == (window == "auto")
+    # A light that is nowhere negative gives no negative radiance; rounding of radiance up to a thousand.
+    assert lowest["auto"] > -64 * EPSILON * 1e3
+    assert min(lowest.values()) > ringing

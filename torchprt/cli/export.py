@@ -1,0 +1,106 @@
+"""`torchprt export`: transfer to an .onnx, to a web page, or to a mesh that carries it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torchprt.cli import options
+from torchprt.cli.export_page import export_page
+from torchprt.cli.report import say
+from torchprt.errors import InputError
+from torchprt.files import check_writable
+
+if TYPE_CHECKING:
+    from torchprt.transfer import Transfer
+
+
+def export(
+    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The .onnx or .glb to write; with --web a folder.")],
+    source: Annotated[
+        str | None, typer.Option("--from", help="What the graph takes: light or environment.", show_default="light")
+    ] = None,
+    size: Annotated[
+        int | None, typer.Option(help="Texels along an edge of the environment's cube map.", show_default="32")
+    ] = None,
+    eye: Annotated[
+        str | None, typer.Option(help="Gloss: the eye is a point or a direction.", show_default="point")
+    ] = None,
+    fix_eye: Annotated[
+        str | None, typer.Option(help="Gloss: X,Y,Z of an eye that never moves: a much smaller graph.")
+    ] = None,
+    fix_light: Annotated[
+        Path | None, typer.Option(help="Gloss: an .npy or image of the light that never changes.")
+    ] = None,
+    pose: Annotated[
+        str | None, typer.Option(help="Zonal lobes: the pose is frames or positions.", show_default="frames")
+    ] = None,
+    material: options.OpenGloss = None,
+    web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
+    light: Annotated[
+        list[Path] | None, typer.Option(help="Page: images or .npy to choose from (repeatable).", show_default="four")
+    ] = None,
+    compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
+    title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    order: Annotated[
+        int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
+    ] = None,
+) -> None:
+    """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
+    import torchprt as prt
+
+    ends = output.suffix.lower()
+    graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
+    graph["--pose"] = pose
+    page = {"--light": light, "--compressed": compressed, "--title": title}
+    if web:
+        _refuse(graph | {"--order": order}, "a page")
+    else:
+        check_writable(output, (".onnx", ".glb"))
+        _refuse(page | (graph if ends == ".glb" else {"--order": order}), f"{ends} without --web")
+    start = options.choice(source or "light", "--from", ("light", "environment"))
+    kind = options.choice(eye or "point", "--eye", ("point", "direction"))
+    taken = None if pose is None else options.choice(pose, "--pose", ("frames", "positions"))
+    place = None if fix_eye is None else options.numbers(fix_eye, 3, "--fix-eye")
+    if kind == "direction" and place is not None:
+        options.direction(fix_eye or "", "--fix-eye")
+    loaded = prt.load_transfer(transfer)
+    if isinstance(loaded, prt.transfer.kinds.DIFFUSE):
+        for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
+            if value is not None:
+                raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    chosen = options.gloss_of(loaded, material)
+    if isinstance(loaded, prt.transfer.kinds.INCIDENT) and chosen is not None:
+        loaded = prt.shade.with_material(loaded, chosen)
+    if web:
+        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)
+    if ends == ".glb":
+        return _export_mesh(loaded, output, order)
+    lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
+    texels = 32 if size is None else size
+    report = prt.onnx.export(
+        loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
+    )
+    say(report)
+    if report.parity is not None:
+        say(report.parity)
+
+
+def _export_mesh(transfer: Transfer, path: Path, order: int | None) -> None:
+    """Writes the `.glb` with transfer of low order as attributes."""
+    from torchprt.preview import save_transfer_glb
+
+    bands = min(3, transfer.order) if order is None else order
+    save_transfer_glb(transfer, path, bands)
+    say(f"{path}: {transfer.vertices} vertices, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
+
+
+def _refuse(given: Mapping[str, Any], written: str) -> None:
+    """InputError if one of these options has a value, which `written` has no use for."""
+    for option, value in given.items():
+        if value is not None:
+            raise InputError(f"{option} is given, but {written} has no use for it: leave it out")

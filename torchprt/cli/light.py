@@ -1,0 +1,28 @@
+"""`torchprt light`: an environment image to a light."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from torchprt.cli import options
+from torchprt.cli.report import say, triple
+from torchprt.files import check_writable
+
+
+def light(
+    image: Annotated[Path, typer.Argument(help="Latitude-longitude environment: .exr .hdr .png .jpg .tif")],
+    output: Annotated[Path, typer.Option("-o", "--output", help=".npy of order^2 x 3 coefficients.")],
+    order: Annotated[int, typer.Option(min=1, max=64, help="SH bands.")] = 5,
+    repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
+) -> None:
+    """Project an environment image to a light."""
+    from torchprt.light import write_coefficients
+
+    check_writable(output, (".npy",))
+    coefficients = options.light(image, order, repair)
+    write_coefficients(coefficients, output)
+    say(f"{output}: order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")
