@@ -57,7 +57,7 @@ _NAMES = {
     "shader": "shade",
     "bake": "transport",
     "compress": "compression",
-    "DiffuseTransfer": "transfer",
+    "Transfer": "transfer",
     "load_transfer": "transfer",
     "save_transfer": "transfer",
 }

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,9 +13,9 @@ from torch import Tensor
 from torchprt import light, preview, sh
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.scene import Material, Scene, samples
+from torchprt.scene import Material, samples
 from torchprt.shade import display, shader
-from torchprt.transfer import DiffuseTransfer, Transfer, save
+from torchprt.transfer import Transfer, save
 from torchprt.transport import bake
 
 SIZE = (420, 420)
@@ -43,7 +42,7 @@ def run(folder: Path, say: Say = print) -> None:
 
     sculpture = samples.organic(50_000, albedo=STONE)
     started = time.perf_counter()
-    transfer = _diffuse(sculpture, bounces=3, progress=True)
+    transfer = bake(sculpture, bounces=3)
     save(transfer, folder / "sculpture.safetensors")
     say(
         f"A sculpture of {transfer.vertices} vertices baked in {time.perf_counter() - started:.1f} s, "
@@ -89,12 +88,12 @@ def _gloss(environment: Tensor, folder: Path, say: Say) -> None:
     _export(transfer, folder / "teapot.onnx", say)
 
 
-def transport(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
+def transport(transfer: Transfer, lamps: Tensor) -> Tensor:
     """What shadows and interreflection add to the closed form: a sheet of three."""
     sculpture = samples.organic(50_000, albedo=STONE)
     bakes = [
-        ("unshadowed", _diffuse(sculpture, shadows=False)),
-        ("shadowed", _diffuse(sculpture, rays=512)),
+        ("unshadowed", bake(sculpture, shadows=False, progress=False)),
+        ("shadowed", bake(sculpture, rays=512, progress=False)),
         (f"interreflected, {transfer.bounces} bounces", transfer),
     ]
     still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
@@ -102,7 +101,7 @@ def transport(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
     return preview.sheet(pictures, [name for name, _ in bakes], columns=3)
 
 
-def turning(transfer: DiffuseTransfer, environment: Tensor) -> Tensor:
+def turning(transfer: Transfer, environment: Tensor) -> Tensor:
     """Six turns of an environment about the vertical, each beside the turned photograph (its middle is behind)."""
     still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
     lamps = light.project(environment, transfer.order)
@@ -122,7 +121,7 @@ def turning(transfer: DiffuseTransfer, environment: Tensor) -> Tensor:
 def orders() -> Tensor:
     """A disc of light of three sizes over a square above the ground, by order, and order 5 with a window."""
     highest = 16
-    transfer = _diffuse(samples.plane_and_blocker(128), order=highest, rays=2048)
+    transfer = bake(samples.plane_and_blocker(128), order=highest, rays=2048, progress=False)
     camera = preview.frame(transfer.positions, (0.0, 1.0, 0.35), aspect=1.0)
     still = preview.Still(transfer.positions, transfer.faces, size=(200, 200), camera=camera)
     pictures, labels = [], []
@@ -144,7 +143,7 @@ def bleeding() -> Tensor:
     lamps = (sun + light.constant(0.1, 5)).float()
     pictures, labels, still = [], [], None
     for bounces in (0, math.inf):
-        transfer = _diffuse(scene, rays=4096, bounces=bounces)
+        transfer = bake(scene, rays=4096, bounces=bounces, progress=False)
         if still is None:
             camera = preview.frame(transfer.positions, (0.0, 0.08, 1.0), aspect=1.0)
             still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
@@ -184,13 +183,6 @@ def write_environment(image: Tensor, path: Path) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic(path) as temporary:
         OpenEXR.File(header, channels).write(str(temporary))
-
-
-def _diffuse(scene: Scene, **options: Any) -> DiffuseTransfer:
-    """A bake of a scene that has no gloss."""
-    baked = bake(scene, **{"progress": False, **options})
-    assert isinstance(baked, DiffuseTransfer)
-    return baked
 
 
 def _shade(transfer: Transfer, lamps: Tensor, camera: preview.Camera | None = None) -> Tensor:

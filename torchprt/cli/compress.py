@@ -27,6 +27,9 @@ _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
 def compress(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
     output: options.Output,
+    layer: Annotated[
+        str | None, typer.Option(help="Which: diffuse, exit, ...; the others stay.", show_default="the last")
+    ] = None,
     clusters: Annotated[
         int | None, typer.Option(min=1, help="How many groups of vertices.", show_default="256")
     ] = None,
@@ -65,13 +68,14 @@ def compress(
     size = None if bytes is None else byte_count(bytes, "--bytes")
     added = fraction(coherence, "--coherence")
     loaded = kinds.load(transfer)
-    weight = None if importance is None else expected(importance, loaded)
+    weight = None if importance is None else expected(importance, loaded, layer)
     partial = output.with_name(output.name + ".partial")
     start = time.perf_counter()
     try:
         with Bar() as bar:
             packed = room.compress(
                 loaded,
+                layer=layer,
                 clusters=clusters,
                 components=components,
                 error=target,
@@ -96,7 +100,7 @@ def compress(
     kinds.save(packed, output)
     partial.unlink(missing_ok=True)
     say(f"{output}: {describe(packed)}, compressed in {taken:.1f} s")
-    for line in details(packed)[1:3]:
+    for line in details(packed)[1:]:
         say(line)
     say(f"{loaded.bytes / packed.bytes:.1f} times smaller")
 
@@ -121,20 +125,19 @@ def byte_count(text: str, option: str) -> int:
     return int(float(found[1]) * _UNITS[found[2].upper()])
 
 
-def expected(text: str, transfer: Transfer) -> Tensor:
+def expected(text: str, transfer: Transfer, layer: str | None) -> Tensor:
     """The importance over the numbers of one receiver: of the spectrum of natural light, or of files of lights."""
     import torch
 
     from torchprt.compression import light_importance, natural_light_importance
-    from torchprt.transfer import DiffuseTransfer, FactoredTransfer, GlossyTransfer, IncidentTransfer
 
-    if isinstance(transfer, DiffuseTransfer):
-        rows = 1
-    elif isinstance(transfer, GlossyTransfer | FactoredTransfer | IncidentTransfer):
-        rows = transfer.matrix.shape[2]
-    else:
-        raise InputError(f"--importance is given, but transfer of kind '{transfer.kind}' meets no light: leave it out")
+    chosen = transfer.layers[layer] if layer in transfer.layers else list(transfer.layers.values())[-1]
+    if not chosen.meets_light:
+        raise InputError(
+            f"--importance is given, but no light is applied to {chosen.kind} as it is stored: leave it out"
+        )
+    _, channels, rows, _ = chosen.signal.shape
     if text == "natural":
-        return natural_light_importance(transfer.order, channels=transfer.channels, rows=rows)
+        return natural_light_importance(transfer.order, channels=channels, rows=rows)
     lights = [options.light(Path(name), transfer.order, repair=False) for name in text.split(",")]
-    return light_importance(torch.stack(lights).float(), channels=transfer.channels, rows=rows)
+    return light_importance(torch.stack(lights).float(), channels=channels, rows=rows)

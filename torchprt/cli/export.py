@@ -69,12 +69,12 @@ def export(
     if kind == "direction" and place is not None:
         options.direction(fix_eye or "", "--fix-eye")
     loaded = prt.load_transfer(transfer)
-    if isinstance(loaded, prt.transfer.kinds.DIFFUSE):
+    if "eye" not in loaded.needs:
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
     chosen = options.gloss_of(loaded, material)
-    if isinstance(loaded, prt.transfer.kinds.INCIDENT) and chosen is not None:
+    if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
         return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)

@@ -28,11 +28,10 @@ def export_page(
     from torchprt import web
     from torchprt.shade import with_material
     from torchprt.transfer import load
-    from torchprt.transfer.kinds import INCIDENT
 
     start = time.perf_counter()
     packed = None if compressed is None else load(compressed)
-    if isinstance(packed, INCIDENT) and gloss is not None:
+    if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
     environments = None if lights is None else [_environment(path, transfer.order) for path in lights]
     report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torchprt.cli.report import describe, describe_map, details, say, triple
+from torchprt.cli.report import describe, details, say, triple
 
 
 def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a light, an image or a mesh.")]) -> None:
@@ -16,9 +16,7 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
     import torchprt as prt
 
     suffix = file.suffix.lower()
-    if suffix == ".safetensors" and prt.transfer.holds_map(file):
-        say(f"{file}: {describe_map(prt.transfer.load_map(file))}")
-    elif suffix == ".safetensors":
+    if suffix == ".safetensors":
         loaded = prt.load_transfer(file)
         say(f"{file}: {describe(loaded)}")
         for line in details(loaded):

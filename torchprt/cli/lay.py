@@ -26,7 +26,7 @@ def lay(
 
     check_writable(output, (".safetensors",))
     u, v = options.numbers(repeat, 2, "--repeat")
-    baked = kinds.load_map(map)
+    baked = kinds.load(map)
     surface = read_mesh(mesh)
     if surface.uv is None:
         raise InputError(f"{mesh} has no texture coordinates: unwrap it (a patch is laid on through them)")

@@ -93,9 +93,8 @@ def gloss(text: str) -> Brdf:
 
 def gloss_of(transfer: Transfer, material: str | None) -> Any:
     """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
-    from torchprt.transfer.kinds import INCIDENT
-
-    if not isinstance(transfer, INCIDENT):
+    open_ = [layer for layer in transfer.layers.values() if "reflectance" in layer.needs]
+    if not open_:
         if material is not None:
             raise InputError(f"--material is given, but the reflectance of {transfer.kind} transfer is baked in")
         return None
@@ -103,7 +102,7 @@ def gloss_of(transfer: Transfer, material: str | None) -> Any:
         raise InputError("incident transfer leaves the reflectance open: give --material, as phong:40 or ggx:0.3")
     from torchprt.brdf import exit_error
 
-    brdf, order = gloss(material), transfer.output_order
+    brdf, order = gloss(material), math.isqrt(open_[0].signal.shape[2])
     say(f"exit functions of order {order} hold {brdf.spec} to {exit_error(brdf, order, order):.2%}")
     return brdf
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from torchprt.cli import options
-from torchprt.cli.report import complain, describe_map, say
+from torchprt.cli.report import complain, describe, details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
 
@@ -35,7 +35,7 @@ def patch(
 ) -> None:
     """Bake a small relief into a map of zonal lobes that any surface can be covered with."""
     from torchprt.scene import height_field, read_heights, read_mesh
-    from torchprt.transfer import save_map
+    from torchprt.transfer import save
     from torchprt.transport import bake_patch
     from torchprt.transport.progress import Bar
 
@@ -67,5 +67,7 @@ def patch(
     except KeyboardInterrupt:
         complain("stopped; nothing is written")
         raise typer.Exit(130) from None
-    save_map(baked, output)
-    say(f"{output}: {describe_map(baked)}, baked in {time.perf_counter() - start:.1f} s")
+    save(baked, output)
+    say(f"{output}: {describe(baked)}, baked in {time.perf_counter() - start:.1f} s")
+    for line in details(baked):
+        say(line)

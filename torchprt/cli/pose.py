@@ -26,9 +26,9 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
 
     from torchprt.scene import read_mesh
     from torchprt.shade import deformed_frames
-    from torchprt.transfer import ZonalFactoredTransfer, ZonalTransfer
+    from torchprt.transfer import Vertices
 
-    if not isinstance(transfer, ZonalTransfer | ZonalFactoredTransfer):
+    if "pose" not in transfer.needs:
         raise InputError(
             f"--pose is given, but transfer of kind '{transfer.kind}' has one pose: fit lobes first, with torchprt fit"
         )
@@ -54,7 +54,8 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
     posed = positions[receivers]
     frames = deformed_frames(transfer.positions.double(), transfer.faces, posed, normals=transfer.normals.double())
     normals = (frames @ transfer.normals.double().unsqueeze(-1)).squeeze(-1)
-    drawn = dataclasses.replace(transfer, positions=posed, normals=normals.to(transfer.normals.dtype))
+    moved = Vertices(positions=posed, normals=normals.to(transfer.normals.dtype), faces=transfer.faces)
+    drawn = dataclasses.replace(transfer, receivers=moved)
     return drawn, {"positions": posed}
 
 

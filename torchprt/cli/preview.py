@@ -39,7 +39,7 @@ def preview(
     for name, transfer in opened.items():
         say(f"{name}: {describe(transfer)}")
     # Those whose reflectance is open, if there are any; the others say that theirs is not.
-    incident = [transfer for transfer in opened.values() if transfer.kind.endswith("incident")]
+    incident = [transfer for transfer in opened.values() if "reflectance" in transfer.needs]
     chosen = options.gloss_of((incident or list(opened.values()))[0], material)
     highest = max(transfer.order for transfer in opened.values())
     lights = [environment_of(each, highest, repair) for each in light or (STUDIO, SKY)]

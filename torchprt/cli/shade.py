@@ -87,8 +87,7 @@ def shade(
         linear = preview.linear_colours(radiance, exposure, tone)
         preview.save_glb(loaded.positions, loaded.normals, loaded.faces, output, colour=linear)
     else:
-        if isinstance(loaded, prt.transfer.clustered.Clusters):
-            radiance = loaded.mesh_order(radiance)
+        radiance = loaded.receivers.in_mesh_order(radiance)
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
     say(f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}")
@@ -98,9 +97,7 @@ def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None)
     """The eye that `transfer` is shaded for: the one given, or that of the picture, which is told."""
     import torch
 
-    from torchprt.transfer.kinds import DIFFUSE
-
-    if isinstance(transfer, DIFFUSE):
+    if "eye" not in transfer.needs:
         if given:
             raise InputError("--eye and --toward are for glossy transfer: this one looks the same from everywhere")
         return given

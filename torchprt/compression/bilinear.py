@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 
 from torchprt.errors import InputError
 from torchprt.sh import bands, basis, order_of
-from torchprt.transfer import ZonalMap
+from torchprt.transfer import Diffuse, Texels, Transfer, Zonal
 
 # Of the mean square of the signal a coefficient: keeps lobes that nearly coincide from growing against each other.
 RIDGE = 1e-6
@@ -24,7 +24,7 @@ def fit_bilinear(
     tiles_u: bool = False,
     tiles_v: bool = False,
     iterations: int = 150,
-) -> ZonalMap:
+) -> Transfer:
     """A smooth map of lobes from transfer vectors that sample it more finely.
 
     `vectors` at the centres of I x J cells of the unit square (rows along v), in the tangent frame; `size` (rows,
@@ -59,17 +59,17 @@ def fit_bilinear(
     squared = (fitted - signal).square().sum((0, 1))
     share = (down / down.sum(0)).mT @ squared @ (across / across.sum(0))
     whole = float(signal.square().sum())
-    return ZonalMap(
-        axis=axis,
-        coefficients=scale * coefficients,
-        exact=scale * coarse[:, :4],
-        albedo=torch.ones(1, 1, 1, dtype=torch.float64),
-        squared_error=scale.square() * share,
-        tiles_u=tiles_u,
-        tiles_v=tiles_v,
+    lobes_of_texels = Zonal(
+        axis=axis.flatten(-2)[None],
+        coefficients=(scale * coefficients).flatten(-2)[:, None],
+        exact=(scale * coarse[:, :4]).flatten(-2)[:, None],
+        squared_error=(scale.square() * share).flatten(),
         smooth=True,
         fit_error=float(squared.sum() / whole) ** 0.5 if whole else 0.0,
     )
+    layer = Diffuse(albedo=torch.ones(1, 1, dtype=torch.float64), signal=lobes_of_texels)
+    texels = Texels(rows=rows, columns=columns, tiles_u=tiles_u, tiles_v=tiles_v)
+    return Transfer(receivers=texels, layers={"diffuse": layer})
 
 
 def interpolation(fine: int, coarse: int, tiles: bool) -> Float64[Tensor, "fine coarse"]:

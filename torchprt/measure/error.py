@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh import bands
-from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer
+from torchprt.shade import LayerModule, shader
+from torchprt.transfer import Transfer
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,12 @@ def psnr(image: Float[Tensor, "..."], reference: Float[Tensor, "..."], peak: flo
     return float(kornia_psnr(image.double(), reference.double(), peak))
 
 
-def transfer_error(transfer: DiffuseTransfer, reference: DiffuseTransfer) -> ErrorReport:
-    """Error of transfer coefficients against those of `reference`, which may have more bands.
+def transfer_error(transfer: Transfer, reference: Transfer) -> ErrorReport:
+    """Error of diffuse transfer coefficients against those of `reference`, which may have more bands.
 
     Bands that `transfer` lacks count as zero, so the error of truncation is part of the figure. Albedo is not
-    compared. Raises InputError if the two have other vertices or channels, or as `relative_rms`.
+    compared. Compressed transfer counts as what it stands for, lobes in the rest pose. Raises InputError if the two have
+    other vertices or channels, one has other layers, or as `relative_rms`.
     """
     if (transfer.vertices, transfer.channels) != (reference.vertices, reference.channels):
         raise InputError(
@@ -83,9 +84,10 @@ def transfer_error(transfer: DiffuseTransfer, reference: DiffuseTransfer) -> Err
             f"transfer has order {transfer.order}, above the {reference.order} of the reference: exchange them or "
             "bake the reference with more bands"
         )
-    padded = torch.zeros_like(reference.transfer, dtype=torch.float64)
-    padded[:, : transfer.order**2] = transfer.transfer
-    difference, scale = _compared(padded, reference.transfer)
+    found, wanted = (_vectors(each) for each in (transfer, reference))
+    padded = torch.zeros_like(wanted)
+    padded[:, : transfer.order**2] = found
+    difference, scale = _compared(padded, wanted)
     band = bands(reference.order)
     squares = difference.square().mean((0, 2))
     per_band = torch.zeros(reference.order, dtype=torch.float64).index_add(0, band, squares)
@@ -97,9 +99,7 @@ def transfer_error(transfer: DiffuseTransfer, reference: DiffuseTransfer) -> Err
     )
 
 
-def radiance_error(
-    transfer: DiffuseTransfer, reference: DiffuseTransfer, light: Float[Tensor, "*B N 3"]
-) -> ErrorReport:
+def radiance_error(transfer: Transfer, reference: Transfer, light: Float[Tensor, "*B N 3"]) -> ErrorReport:
     """Error of the radiance that `transfer` gives under `light`, against that of `reference`; albedo applied.
 
     `light` has the order of `reference`; `transfer` of a lower order is shaded with the light's first bands.
@@ -120,6 +120,15 @@ def radiance_error(
         max_error=float(difference.abs().max()),
         per_vertex=vertices.mean(1).sqrt() / scale,
     )
+
+
+def _vectors(transfer: Transfer) -> Float[Tensor, "C N V"]:
+    """Diffuse transfer vectors in float64, without albedo."""
+    if list(transfer.layers) != ["diffuse"]:
+        raise InputError(f"transfer of kind '{transfer.kind}' is more than diffuse: compare the radiance that it gives")
+    layer = shader(transfer, dtype=torch.float64).layers["diffuse"]
+    assert isinstance(layer, LayerModule)
+    return layer.toward(None)
 
 
 def _check(value: Tensor, reference: Tensor) -> None:

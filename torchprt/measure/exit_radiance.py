@@ -13,7 +13,7 @@ from torchprt.errors import InputError
 from torchprt.measure.sample import check_chosen
 from torchprt.scene import Scene
 from torchprt.sh import basis, check_directions, least_window, order_of, rotate
-from torchprt.shade import ViewShader
+from torchprt.shade import EyeLayerModule, Shader
 from torchprt.trace import Tracer
 from torchprt.transport import hemisphere
 from torchprt.transport.receivers import tangent_frames
@@ -24,18 +24,22 @@ _BLOCK = 1 << 22
 
 
 def exit_radiance(
-    module: ViewShader, views: Float[Tensor, "D 3"], light: Float[Tensor, "B N 3"]
+    module: Shader, views: Float[Tensor, "D 3"], light: Float[Tensor, "B N 3"]
 ) -> Float[Tensor, "B D G 3"]:
     """Exit radiance of the glossy layer of a shader toward unit local directions `views`, the same for every receiver.
 
     What `module(light, view=...)` gives for the directions that these are in the world, without the specular weight
-    and the diffuse layer. Raises InputError unless views have unit length.
+    and the diffuse layer. Raises InputError unless views have unit length, and if no layer depends on the eye.
     """
     check_directions(views)
-    local = views.to(module.frames.dtype).unsqueeze(1).expand(-1, len(module.glossy), -1)
+    layers = [layer for layer in module.layers.values() if isinstance(layer, EyeLayerModule)]
+    if not layers:
+        raise InputError("the shader has no layer that depends on the eye: shade it without one")
+    layer = layers[-1]
+    local = views.to(layer.frames.dtype).unsqueeze(1).expand(-1, layer.points.shape[1], -1)
     with torch.no_grad():
-        vectors = module.vectors(module.exit_values(local))
-    return torch.einsum("cdng,bnc->bdgc", vectors.expand(3, -1, -1, -1), light.to(vectors.dtype))
+        vectors = layer.toward(layer.exit_values(local))
+    return torch.einsum("cndg,bnc->bdgc", vectors.expand(3, -1, -1, -1), light.to(vectors.dtype))
 
 
 def exit_radiance_by_brute_force(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Int, Int64
@@ -11,9 +10,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.scene import Geometry, Material, Object, Scene, make_mesh
-from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
-
-T = TypeVar("T", bound=GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer)
+from torchprt.transfer import Transfer, Vertices
 
 
 def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[Tensor, "g"]]:
@@ -47,26 +44,21 @@ def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, In
     return Scene([*objects, Object(everything, Material(0.0), "blocker")]), torch.cat(rows)
 
 
-def sample_transfer(transfer: T, chosen: Int[Tensor, "g"]) -> T:
-    """The glossy layer alone of the receivers `glossy[chosen]`, of specular weight 1, without a diffuse layer.
+def sample_transfer(transfer: Transfer, chosen: Int[Tensor, "g"]) -> Transfer:
+    """The last layer alone, of those of its receivers that `chosen` numbers, of specular weight 1.
 
     A receiver may be chosen more than once. Raises InputError if `chosen` names one that there is not.
     """
-    check_chosen(chosen, len(transfer.glossy))
-    rows = transfer.glossy.long()[chosen]
-    name = "visibility" if isinstance(transfer, VisibilityTransfer) else "matrix"
-    glossy: dict[str, Any] = {name: getattr(transfer, name).index_select(1, chosen)}
+    name, layer = list(transfer.layers.items())[-1]
+    check_chosen(chosen, layer.signal.shape[0])
+    rows = layer.index(transfer.vertices)[chosen]
+    taken = layer.take(chosen, None)
     return dataclasses.replace(
         transfer,
-        **glossy,
-        positions=transfer.positions[rows],
-        normals=transfer.normals[rows],
-        tangents=transfer.tangents[chosen],
-        faces=transfer.faces[:0],
-        albedo=torch.zeros(1, 1),
-        diffuse=transfer.diffuse[..., :0],
-        glossy=torch.arange(len(chosen)),
-        specular=torch.ones(1, 1),
+        receivers=Vertices(
+            positions=transfer.positions[rows], normals=transfer.normals[rows], faces=transfer.faces[:0]
+        ),
+        layers={name: taken.replace(**{layer.weight_name: torch.ones(1, 1)})},
     )
 
 

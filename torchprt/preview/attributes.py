@@ -7,12 +7,11 @@ import os
 import torch
 from torch import Tensor
 
-from torchprt.compression import decompress
 from torchprt.errors import InputError
 from torchprt.preview.glb import save_glb
-from torchprt.transfer import DiffuseTransfer
+from torchprt.shade import LayerModule, shader
+from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
-from torchprt.transfer.kinds import CompressedTransfer, Transfer
 
 # WebGL promises 16 attributes of four numbers; position, normal and colour take three.
 MOST = 13
@@ -28,14 +27,14 @@ def save_transfer_glb(transfer: Transfer, path: str | os.PathLike[str], order: i
     Raises InputError if the transfer depends on the eye, `order` is above its own, the vectors need more than 13
     attributes, or `path` cannot be written.
     """
-    if isinstance(transfer, CompressedTransfer):
-        transfer = decompress(transfer)
-    if not isinstance(transfer, DiffuseTransfer):
+    if list(transfer.layers) != ["diffuse"]:
         raise InputError(
             f"transfer of kind '{transfer.kind}' does not fit attributes of vertices: they hold diffuse transfer alone"
         )
     low = transfer.to_order(order)
-    numbers = low.transfer.reshape(-1, low.vertices).float()
+    layer = shader(low).layers["diffuse"]
+    assert isinstance(layer, LayerModule)
+    numbers = layer.toward(None).reshape(-1, low.vertices).float()
     count = -(-len(numbers) // 4)
     if count > MOST:
         raise InputError(

@@ -11,17 +11,15 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.light import dominant
 from torchprt.transfer import Transfer
-from torchprt.transfer.glossy import Layers
 
 
 def reflectance(transfer: Transfer) -> Float[Tensor, "V 3"]:
-    """Albedo of every receiver and the weight of its glossy layer on top, at most 1: its colour without its gloss."""
-    albedo = transfer.albedo.float().expand(transfer.vertices, 3)
-    if not isinstance(transfer, Layers):
-        return albedo
-    weights = torch.zeros_like(albedo)
-    weights[transfer.glossy.long()] = transfer.specular.float().expand(len(transfer.glossy), 3)
-    return (albedo + weights).clamp(max=1)
+    """The weights of all layers of every receiver, at most 1: its colour without its gloss."""
+    weights = torch.zeros(transfer.vertices, 3)
+    for layer in transfer.layers.values():
+        index = layer.index(transfer.vertices)
+        weights[index] += layer.weight.float().expand(len(index), 3)
+    return weights.clamp(max=1)
 
 
 def unshadowed(light: Float[Tensor, "N 3"], normals: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from torchprt.shade import DeformableShader, DiffuseShader, FixedEyeShader, FixedLightShader, ViewShader
+from torchprt.shade import FixedLightShader, Shader
 
 
 class Relight:
@@ -17,16 +15,16 @@ class Relight:
     The result is that of the shader to rounding. What a shader does not depend on is not passed to it.
     """
 
-    def __init__(self, shader: nn.Module):
-        self.shader: Any = shader
-        self.follows_pose = hasattr(shader, "fix_pose")
-        self.follows_eye = not isinstance(shader, DiffuseShader | DeformableShader)
+    def __init__(self, shader: Shader):
+        self.shader = shader
+        self.follows_pose = "pose" in shader.needs
+        self.follows_eye = "eye" in shader.needs
         self._light: Tensor | None = None
         self._eye: Tensor | None = None
         self._pose: Tensor | None = None
-        self._posed: Any = None
+        self._posed: Shader | None = None
         self._fixed_light: FixedLightShader | None = None
-        self._fixed_eye: FixedEyeShader | None = None
+        self._fixed_eye: Shader | None = None
 
     @torch.no_grad()
     def __call__(
@@ -68,17 +66,10 @@ class Relight:
         Transfer vectors of diffuse receivers times albedo; of glossy ones what the eye selects, times specular.
         """
         shader = self._still(pose) if self.follows_pose else self.shader
-        if isinstance(shader, ViewShader):
-            return shader.fix_eye(eye=eye).transfer[..., vertex].T.expand(-1, 3)
-        if hasattr(shader, "transfer"):
-            albedo = shader.albedo[vertex if len(shader.albedo) > 1 else 0]
-            return (shader.transfer[..., vertex].T * albedo).expand(-1, 3)
-        # Linear in the light: one of each coefficient at a time.
-        count = shader.order**2
-        lights = torch.eye(count)[..., None].expand(count, count, 3)
-        return shader(lights)[:, vertex]
+        vectors = shader.vectors(**({"eye": eye} if self.follows_eye else {}))
+        return vectors[..., vertex].T.expand(-1, 3)
 
-    def _still(self, pose: Tensor | None) -> Any:
+    def _still(self, pose: Tensor | None) -> Shader:
         """The shader of one pose, made when it is asked for again."""
         if self._posed is None or not _same(pose, self._pose):
             self._pose, self._posed = pose, self.shader.fix_pose(positions=pose)

@@ -23,8 +23,7 @@ from torchprt.preview.relight import Relight
 from torchprt.shade import display, shader
 from torchprt.shade.display import ToneMap
 from torchprt.trace import Tracer
-from torchprt.transfer import BakedTransfer, Transfer
-from torchprt.transfer.glossy import Layers
+from torchprt.transfer import Transfer
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
 UNBAKED = ("unshadowed", "one lamp")
@@ -72,8 +71,8 @@ class Session:
                 )
         if len(first.faces) == 0:
             raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
-        self.bakes = {name: bake for name, bake in bakes.items() if isinstance(bake, BakedTransfer)}
-        self.compressed = {name: bake for name, bake in bakes.items() if not isinstance(bake, BakedTransfer)}
+        self.bakes = {name: bake for name, bake in bakes.items() if not bake.approximates}
+        self.compressed = {name: bake for name, bake in bakes.items() if bake.approximates}
         self.rest, self.faces = first.positions.double(), first.faces.long()
         self.positions = self.rest
         self.playing = False
@@ -294,15 +293,15 @@ class Session:
 
         made, bake = f"{name}, compressed here", self._all[name]
         if made not in self._all:
-            receivers = len(bake.glossy) if isinstance(bake, Layers) else bake.vertices
+            receivers = list(bake.layers.values())[-1].signal.shape[0]
             self._all[made] = compress(bake, clusters=max(1, min(CLUSTERS, receivers // 16)))
         return made
 
     def _relight(self, name: str) -> Relight:
         if name not in self._relights:
             bake = self._all[name]
-            chosen = {"brdf": self._brdf} if self._brdf is not None and bake.kind.endswith("incident") else {}
-            self._relights[name] = Relight(shader(bake, **chosen))
+            chosen = self._brdf if "reflectance" in bake.needs else None
+            self._relights[name] = Relight(shader(bake, brdf=chosen))
         return self._relights[name]
 
     def _shade(self, name: str, light: Tensor) -> Tensor:
@@ -312,7 +311,8 @@ class Session:
         pose = self._pose()
         if pose is None:
             return self.normals
-        frames = self._relight(self._stored()).shader.estimate(pose)
+        frames = self._relight(self._stored()).shader.pose(None, pose)
+        assert frames is not None
         return (frames @ self.normals[..., None].to(frames))[..., 0].float()
 
     def _pose(self) -> Tensor | None:

@@ -20,6 +20,7 @@ from torchprt.preview.orbit import Orbit
 from torchprt.preview.picture import BACKGROUND, Still
 from torchprt.preview.relight import Relight
 from torchprt.sh import rotate, yaw_pitch_roll
+from torchprt.shade import Shader
 from torchprt.shade.display import ToneMap
 from torchprt.transfer import Transfer
 
@@ -35,7 +36,7 @@ class Studio:
     def __init__(
         self,
         transfer: Transfer,
-        shader: torch.nn.Module,
+        shader: Shader,
         environment: Environment,
         *,
         size: tuple[int, int] = (800, 600),

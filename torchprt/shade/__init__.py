@@ -1,5 +1,6 @@
 """The run time: one `nn.Module` that adds layers, each of any signal. Needs torch alone."""
 
+from .at_rest import at_rest as at_rest
 from .clustered import ClusteredSignal as ClusteredSignal
 from .dense import DenseSignal as DenseSignal
 from .display import display as display
@@ -46,6 +47,7 @@ __all__ = [
     "SkinnedMesh",
     "VisibilityLayer",
     "ZonalSignal",
+    "at_rest",
     "deformed_frames",
     "display",
     "filmic",

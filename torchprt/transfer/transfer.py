@@ -71,6 +71,11 @@ class Transfer:
         return needs | {"pose"} if posed else needs
 
     @property
+    def approximates(self) -> bool:
+        """Whether it is compressed: what a bake recorded is stored as something near to it."""
+        return any(layer.signal.approximates for layer in self.layers.values())
+
+    @property
     def order(self) -> int:
         """Number of SH bands of the light."""
         return next(iter(self.layers.values())).order

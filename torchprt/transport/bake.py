@@ -19,7 +19,7 @@ from torchprt.progress import Report, Silent
 from torchprt.scene import Geometry, Points, Scene
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
-from torchprt.transfer import BakedTransfer, DiffuseTransfer
+from torchprt.transfer import Transfer
 from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
 from torchprt.transport.checkpoint import Checkpoint
@@ -62,8 +62,8 @@ def bake(
     projection: Projection = "optimal",
     factors: int | float | None = None,
     visibility_order: int | None = None,
-) -> BakedTransfer:
-    """Transfer of a scene: `DiffuseTransfer`, or where a material is glossy one of the kinds of glossy transfer.
+) -> Transfer:
+    """Transfer of a scene: a layer of what is diffuse in it, and one of what is glossy.
 
     - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
       rays take four times the time for a third of the error.
@@ -75,14 +75,14 @@ def bake(
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
 
     For glossy materials:
-    - `frame`: "exit" (the BRDF baked in: `GlossyTransfer`), "incident" (the BRDF chosen at run time:
-      `IncidentTransfer`) or "visibility" (a vector instead of a matrix, multiplied with the light at run time:
-      `VisibilityTransfer`; one material, no bounces).
+    - `frame`: "exit" (the BRDF baked in: layer `Exit`), "incident" (the BRDF chosen at run time:
+      `Incident`) or "visibility" (a vector instead of a matrix, multiplied with the light at run time:
+      `Visibility`; one material, no bounces).
     - `output_order` (that of the light by default): bands of exit radiance, or of incident radiance. More of them hold
       narrower lobes; `OrderWarning` tells when the material needs more, `exit_error` of the result how well they do.
     - `projection` of exit radiance on the hemisphere, see `sh.exit_functions`.
     - `factors`: a number of view factors in place of exit functions, or (a float) the error that they may leave:
-      `FactoredTransfer`; one material.
+      `Factored`; one material.
     - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
     Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
 
@@ -130,7 +130,7 @@ def bake(
             report = stack.enter_context(Bar())
         workers = stack.enter_context(Workers(threads or os.cpu_count() or 1))
         store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
-        baked: BakedTransfer
+        baked: Transfer
         if is_glossy and receivers is None:
             baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, store, workers, report)
         else:
@@ -149,7 +149,7 @@ def _diffuse(
     store: Checkpoint | None,
     workers: Workers,
     report: Report,
-) -> DiffuseTransfer:
+) -> Transfer:
     if receivers is None:
         solution = solve(job, geometry.albedo, bounces, store, workers, report)
         error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)

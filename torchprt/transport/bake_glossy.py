@@ -14,7 +14,7 @@ from torchprt.errors import InputError
 from torchprt.progress import Report
 from torchprt.scene import Geometry
 from torchprt.sh import Projection, exit_count
-from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Layer, Transfer, Visibility
 from torchprt.transport import result
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
@@ -117,7 +117,7 @@ def bake_vertices(
     store: Checkpoint | None,
     workers: Workers,
     report: Report,
-) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+) -> Transfer:
     """Transfer at the vertices of a scene that has glossy ones."""
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
@@ -137,16 +137,15 @@ def bake_vertices(
         error=error,
         signal=signal,
     )
-    if isinstance(transfer, VisibilityTransfer):
-        transfer.product_error = product_error(
-            task, solution.arrived.matrix[..., 0], transfer.degree, wanted.output_order, wanted.projection
+    visible = transfer.layers.get(Visibility.kind)
+    if isinstance(visible, Visibility):
+        visible.product_error = product_error(
+            task, solution.arrived.matrix[..., 0], visible.degree, wanted.output_order, wanted.projection
         )
     return transfer
 
 
-def bake_unshadowed(
-    geometry: Geometry, wanted: Wanted, order: int, sheets: Sheets | None
-) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Sheets | None) -> Transfer:
     """The closed form at the vertices of a scene that has glossy ones."""
     worst = warn_of_order(wanted, geometry, order)
     normals = geometry.receiver_normals
@@ -205,38 +204,43 @@ def _transfer(
     arrived: Tensor,
     worst: float | None,
     **metadata: Any,
-) -> GlossyTransfer | FactoredTransfer | IncidentTransfer | VisibilityTransfer:
+) -> Transfer:
     """Transfer of diffuse vectors `shown [C, N, V]` and of the matrices that `arrived [G, R, C * N]`."""
-    channels, columns, _ = shown.shape
-    is_diffuse = bool((geometry.albedo > 0).any())
+    layers: dict[str, Layer] = {}
+    if bool((geometry.albedo > 0).any()):
+        diffuse = Dense(values=shown.contiguous())
+        layers["diffuse"] = Diffuse(albedo=result.uniform(geometry.albedo), signal=diffuse)
+    layer = _eye_layer(geometry, wanted, recording, shown.shape[0], arrived, worst)
+    layers[layer.kind] = layer
+    return Transfer(receivers=result.vertices(geometry), layers=layers, version=VERSION, **metadata)
+
+
+def _eye_layer(
+    geometry: Geometry, wanted: Wanted, recording: Recording, channels: int, arrived: Tensor, worst: float | None
+) -> Layer:
+    """The layer of the matrices or the visibility that `arrived [G, R, C * N]`."""
     common: dict[str, Any] = {
-        **result.drawn(geometry),
-        "diffuse": shown.contiguous() if is_diffuse else torch.empty(channels, columns, 0),
-        "glossy": geometry.glossy.to(torch.int32),
+        "receivers": geometry.glossy.to(torch.int32),
         "tangents": geometry.tangents.to(torch.float32),
         "specular": result.uniform(geometry.specular),
         "materials": [brdf.spec for brdf in geometry.gloss],
-        "version": VERSION,
-        **metadata,
+    }
+    exits: dict[str, Any] = {
+        "output_order": wanted.output_order,
+        "projection": wanted.projection,
+        "exit_error": worst,
     }
     if wanted.frame == "visibility":
         kernel, degree = on_the_fly(geometry.gloss[0], recording, wanted.output_order, wanted.projection)
-        return VisibilityTransfer(
-            visibility=arrived[..., 0].T.contiguous(),
-            kernel=kernel,
-            degree=degree,
-            output_order=wanted.output_order,
-            projection=wanted.projection,
-            exit_error=worst,
-            **common,
-        )
+        seen = Dense(values=arrived[..., 0].T[None].contiguous())
+        return Visibility(signal=seen, kernel=kernel, degree=degree, light_order=recording.order, **exits, **common)
+    columns = arrived.shape[2] // channels
     matrix = arrived.view(-1, recording.count, channels, columns).permute(2, 0, 1, 3).contiguous()
+    common["signal"] = Dense(values=matrix)
     if wanted.frame == "incident":
-        return IncidentTransfer(matrix=matrix, **common)
+        return Incident(**common)
     factors = recording.factors
     if factors is not None:
         left = float(factors.errors[factors.rows - 1])
-        return FactoredTransfer(matrix=matrix, factors=factors.table.to(torch.float32), factor_error=left, **common)
-    return GlossyTransfer(
-        matrix=matrix, output_order=wanted.output_order, projection=wanted.projection, exit_error=worst, **common
-    )
+        return Factored(factors=factors.table.to(torch.float32), factor_error=left, **common)
+    return Exit(**exits, **common)

@@ -9,14 +9,14 @@ from torch import Tensor
 from torchprt.brdf import membrane
 from torchprt.errors import InputError
 from torchprt.scene import Scene
-from torchprt.transfer import ZonalTransfer
-from torchprt.transport.result import drawn
+from torchprt.transfer import Diffuse, Transfer, Zonal
+from torchprt.transport.result import uniform, vertices
 from torchprt.version import VERSION
 
 
 def membrane_lobes(
     scene: Scene, *, order: int = 3, translucency: float | int | Float[Tensor, "V"] | None = None
-) -> ZonalTransfer:
+) -> Transfer:
     """Unshadowed transfer of a scene, with the light that shines through its sheets, as one lobe a receiver.
 
     The axis is the normal, so it is exact at any order and in any pose. `translucency` of every receiver, both sides
@@ -46,14 +46,17 @@ def membrane_lobes(
     closed, through = membrane(0, order), membrane(1, order) - membrane(0, order)
     coefficients = (closed[:, None] + through[:, None] * share) * lit
     axis = torch.where(lit[:, None], normals, torch.tensor([0.0, 0.0, 1.0], dtype=normals.dtype))
-    return ZonalTransfer(
-        axis=axis.mT[None].float(),
-        coefficients=coefficients[None, None].float(),
-        exact=torch.zeros(1, 0, len(normals)),
+    signal = Zonal(
+        axis=axis.mT[None, None].float(),
+        coefficients=coefficients[None, None, None].float(),
+        exact=torch.zeros(1, 1, 0, len(normals)),
         squared_error=torch.zeros(len(normals)),
-        **drawn(geometry),
         smooth=True,
         fit_error=0.0,
+    )
+    return Transfer(
+        receivers=vertices(geometry),
+        layers={"diffuse": Diffuse(albedo=uniform(geometry.albedo), signal=signal)},
         transport="unshadowed",
         version=VERSION,
     )

@@ -15,7 +15,7 @@ from torchprt.progress import Report
 from torchprt.scene import Material, Mesh, Object, Points, Scene, make_mesh, tiled
 from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer
-from torchprt.transfer import DiffuseTransfer, ZonalMap, zonal_map
+from torchprt.transfer import Texels, Transfer, Vertices
 from torchprt.transport.bake import bake
 
 # Half the side of the floor under a patch, in tiles: a ray that leaves a relief of depth .1 sideways and downward meets
@@ -31,8 +31,8 @@ def bake_patch(
     smooth: bool = False,
     restarts: int = 0,
     **options: Any,
-) -> ZonalMap:
-    """A map of `lobes` zonal lobes a texel from a patch: `patch_transfer` with its `options`, then `compress.fit`.
+) -> Transfer:
+    """A map of `lobes` zonal lobes a texel from a patch: `patch_transfer` with its `options`, then `compression.fit`.
 
     Raises InputError as both do.
     Source: Sloan, Luna and Snyder 2005, sections 5 and 6.
@@ -43,7 +43,7 @@ def bake_patch(
     report = None if isinstance(progress, bool) else progress
     texels = fit(vectors, lobes=lobes, smooth=smooth, restarts=restarts, report=report)
     tiles = bool(options.get("tiles", True))
-    return zonal_map(texels, rows, columns, tiles_u=tiles, tiles_v=tiles)
+    return dataclasses.replace(texels, receivers=Texels(rows=rows, columns=columns, tiles_u=tiles, tiles_v=tiles))
 
 
 def patch_transfer(
@@ -60,7 +60,7 @@ def patch_transfer(
     seed: int = 0,
     threads: int | None = None,
     progress: bool | Report = False,
-) -> DiffuseTransfer:
+) -> Transfer:
     """Transfer at the texels of a patch over the unit square, row after row: x is u, y is v, z the normal.
 
     `size` (rows, columns) of the map; texel (row, column) records where its centre ((column + .5) / columns,
@@ -96,14 +96,16 @@ def patch_transfer(
         threads=threads,
         progress=progress,
     )
-    assert isinstance(baked, DiffuseTransfer)
     nearest = _nearest(covered.view(rows, columns))
+    diffuse = baked.layers["diffuse"]
     return dataclasses.replace(
         baked,
-        transfer=baked.transfer[..., nearest].contiguous(),
-        positions=baked.positions[nearest],
-        normals=baked.normals[nearest],
-        faces=_neighbours(rows, columns, tiles),
+        receivers=Vertices(
+            positions=baked.positions[nearest],
+            normals=baked.normals[nearest],
+            faces=_neighbours(rows, columns, tiles),
+        ),
+        layers={"diffuse": diffuse.replace(signal=diffuse.signal.take(nearest))},
     )
 
 

@@ -8,22 +8,24 @@ import torch
 from torch import Tensor
 
 from torchprt.scene import Geometry, Points
-from torchprt.transfer import DiffuseTransfer
+from torchprt.transfer import Dense, Diffuse, Transfer, Vertices
 from torchprt.version import VERSION
 
 
-def diffuse(geometry: Geometry, points: Points | None, transfer: Tensor, **metadata: Any) -> DiffuseTransfer:
+def diffuse(geometry: Geometry, points: Points | None, vectors: Tensor, **metadata: Any) -> Transfer:
     """Transfer of the receivers of a scene, or of points in it."""
     if points is None:
-        return DiffuseTransfer(transfer=transfer, **drawn(geometry), version=VERSION, **metadata)
-    albedo = torch.as_tensor(points.albedo)
-    where = _where(points.positions, points.normals, albedo, torch.zeros(0, 3))
-    return DiffuseTransfer(transfer=transfer, **where, version=VERSION, **metadata)
+        receivers, albedo = vertices(geometry), geometry.albedo
+    else:
+        receivers = _where(points.positions, points.normals, torch.zeros(0, 3))
+        albedo = torch.as_tensor(points.albedo)
+    layer = Diffuse(albedo=uniform(albedo), signal=Dense(values=vectors))
+    return Transfer(receivers=receivers, layers={"diffuse": layer}, version=VERSION, **metadata)
 
 
-def drawn(geometry: Geometry) -> dict[str, Any]:
-    """Positions, normals, albedo and faces of the receivers of a scene."""
-    return _where(geometry.receiver_positions, geometry.receiver_normals, geometry.albedo, geometry.display_faces)
+def vertices(geometry: Geometry) -> Vertices:
+    """The receivers of a scene."""
+    return _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
 
 
 def uniform(weights: Tensor) -> Tensor:
@@ -32,13 +34,10 @@ def uniform(weights: Tensor) -> Tensor:
     return weights[:1].clone() if alike else weights
 
 
-def _where(positions: Tensor, normals: Tensor, albedo: Tensor, faces: Tensor) -> dict[str, Any]:
+def _where(positions: Tensor, normals: Tensor, faces: Tensor) -> Vertices:
     # A scan comes in float32: twice the bytes would say nothing more.
     single = positions.to(torch.float32)
     exact = bool((single.to(torch.float64) == positions).all())
-    return {
-        "positions": single if exact else positions,
-        "normals": normals.to(torch.float32),
-        "albedo": uniform(albedo),
-        "faces": faces.to(torch.int32),
-    }
+    return Vertices(
+        positions=single if exact else positions, normals=normals.to(torch.float32), faces=faces.to(torch.int32)
+    )

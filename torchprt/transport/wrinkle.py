@@ -12,7 +12,7 @@ from torch import Tensor
 from torchprt.compression.bilinear import fit_bilinear
 from torchprt.errors import InputError
 from torchprt.sh import basis
-from torchprt.transfer import ZonalMap
+from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 
 # Cells of the finer signal a texel of the map, along each axis.
@@ -21,13 +21,13 @@ _NODES = 24
 _CHUNK = 512
 
 
-def wrinkle(size: int | tuple[int, int] = 32, *, depth: float | int = 0.3, order: int = 6, lobes: int = 3) -> ZonalMap:
+def wrinkle(size: int | tuple[int, int] = 32, *, depth: float | int = 0.3, order: int = 6, lobes: int = 3) -> Transfer:
     """A smooth map of the lobes of wrinkles over (x, depth), to be laid on a surface through its texture coordinates.
 
     u is the place across a groove, of width 1 from ridge to ridge, and repeats itself; v is its depth, from 0 (flat)
     at v = 0 to `depth` at v = 1, in widths of a groove. So the texture coordinates of a surface say where its wrinkles
     run and how deep they are. The transfer is that of `groove_transfer`; one fit of all texels makes the lobes
-    correspond (`compress.fit_bilinear`), so they are interpolated and wrinkles show no steps.
+    correspond (`compression.fit_bilinear`), so they are interpolated and wrinkles show no steps.
 
     Raises InputError if `depth` is not above 0, or as `fit_bilinear` does.
     Source: Sloan, Luna and Snyder 2005, section 4.2 (wrinkle model).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import os
@@ -21,10 +20,8 @@ from torchprt import onnx, preview
 from torchprt.errors import InputError
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
-from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer, ZonalTransfer
-from torchprt.transfer.kinds import DIFFUSE, Transfer
-from torchprt.transfer.provenance import Provenance
+from torchprt.shade import at_rest, shader
+from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, luminance, of_order, samples, shown
 from torchprt.web.libraries import libraries
@@ -77,10 +74,10 @@ def export(
     """
     target = Path(folder)
     _check_folder(target)
-    full = _at_rest(transfer)
+    full = at_rest(transfer)
     if len(full.faces) == 0:
         raise InputError("a page shows faces, and this transfer was recorded at loose points: export .onnx")
-    packed = None if compressed is None else _at_rest(compressed)
+    packed = None if compressed is None else at_rest(compressed)
     if packed is not None:
         _check_same(full, packed)
     lights = samples(full.order) if environments is None else list(environments)
@@ -124,26 +121,10 @@ def _check_folder(target: Path) -> None:
         raise InputError(f"{target} holds something that is no page of torchprt: give another folder")
 
 
-def _at_rest(transfer: Transfer) -> Transfer:
-    """What has a graph of light and rotation alone: lobes become the vectors that they stand for in the rest pose."""
-    if not isinstance(transfer, ZonalTransfer):
-        return transfer
-    with torch.no_grad():
-        vectors = shader(transfer).vectors(None).float()
-    return DiffuseTransfer(
-        transfer=vectors.contiguous(),
-        albedo=transfer.albedo,
-        positions=transfer.positions,
-        normals=transfer.normals,
-        faces=transfer.faces,
-        **{field.name: getattr(transfer, field.name) for field in dataclasses.fields(Provenance)},
-    )
-
-
 def _check_same(full: Transfer, packed: Transfer) -> None:
     same = (
         full.order == packed.order
-        and isinstance(full, DIFFUSE) == isinstance(packed, DIFFUSE)
+        and full.needs == packed.needs
         and torch.equal(full.positions, packed.positions)
         and torch.equal(full.faces, packed.faces)
     )
@@ -179,7 +160,7 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
 
 def _exposures(transfer: Transfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
     """Stops that bring the brighter parts of the model below the shoulder of the tone map."""
-    seen = {} if isinstance(transfer, DIFFUSE) else {"eye": torch.tensor(eye)}
+    seen = {"eye": torch.tensor(eye)} if "eye" in transfer.needs else {}
     with torch.no_grad():
         bright = luminance(shader(transfer)(light, **seen).float()).quantile(0.95, dim=-1)
     return [round(math.log2(BRIGHT / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
@@ -196,7 +177,7 @@ def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, titl
         "order": full.order,
         "vertices": full.vertices,
         "bytes": transfer.bytes,
-        "glossy": not isinstance(full, DIFFUSE),
+        "glossy": "eye" in full.needs,
         "closed": _is_closed(full.positions, full.faces),
         "full_scale": SHADOWS if compressed is None else COMPRESSION,
         "compressed": None,
