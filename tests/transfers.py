@@ -1,19 +1,20 @@
-"""Random glossy transfer of every kind, and what its shading is by definition."""
+"""Random transfer with a layer that depends on the eye, of every kind, and what its shading is by definition."""
 
+import dataclasses
 import math
 
 import torch
 
 from torchprt import sh
 from torchprt.brdf import sample_hemisphere_map
-from torchprt.transfer import FactoredTransfer, GlossyTransfer, IncidentTransfer, VisibilityTransfer
+from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Transfer, Vertices, Visibility
 
-KINDS = ("glossy", "factored", "incident", "visibility")
+KINDS = ("exit", "factored", "incident", "visibility")
 TEXELS, FACTORS, DEGREE, VISIBILITY_ORDER = 32, 4, 8, 3
 
 
 def random_glossy(
-    kind="glossy",
+    kind="exit",
     vertices=7,
     glossy=None,
     order=4,
@@ -27,7 +28,8 @@ def random_glossy(
     seed=0,
     **metadata,
 ):
-    """Transfer of `kind` in which every receiver has its own place, frame and values; `glossy` of them are glossy."""
+    """Transfer of a layer of `kind`, over a diffuse one, in which every receiver has its own place, frame and values;
+    `glossy` of them are glossy. `metadata`: `materials` of the layer, all else of the transfer."""
     generator = torch.Generator().manual_seed(seed)
     wide = dtype if dtype == torch.float64 else torch.float32
     count = vertices if glossy is None else glossy
@@ -41,48 +43,71 @@ def random_glossy(
     normals = torch.nn.functional.normalize(normal(vertices, 3).double(), dim=-1)
     chosen = torch.randperm(vertices, generator=generator)[:count].sort().values
     tangents = torch.linalg.cross(normals[chosen], normal(count, 3).double())
+    vertices_ = Vertices(
+        positions=normal(vertices, 3), normals=normals.to(wide), faces=torch.zeros(0, 3, dtype=torch.int64)
+    )
+    colour = weight(*albedo, "V", vertices)
     common = {
-        "positions": normal(vertices, 3),
-        "normals": normals.to(wide),
-        "faces": torch.zeros(0, 3, dtype=torch.int64),
-        "albedo": weight(*albedo, "V", vertices),
-        "glossy": chosen,
+        "receivers": chosen,
         "tangents": torch.nn.functional.normalize(tangents, dim=-1).to(wide),
         "specular": weight(*specular, "G", count),
-        "diffuse": normal(channels, order**2, vertices if diffuse else 0).to(dtype),
-        **metadata,
+        "materials": metadata.pop("materials", []),
     }
+    layers = {}
+    vectors = normal(channels, order**2, vertices if diffuse else 0).to(dtype)
+    if diffuse:
+        layers["diffuse"] = Diffuse(albedo=colour, signal=Dense(values=vectors))
+    exits = {"output_order": output_order, "projection": projection}
+
+    def matrices(rows):
+        return Dense(values=normal(channels, count, rows, order**2).to(dtype))
+
     if kind == "visibility":
         nodes = (DEGREE // 2 + 1) * (DEGREE + 1)
-        return VisibilityTransfer(
-            **common,
-            visibility=normal(VISIBILITY_ORDER**2, count).to(dtype),
-            kernel=normal(sh.exit_count(output_order, projection), nodes) / math.sqrt(nodes),
-            degree=DEGREE,
-            output_order=output_order,
-            projection=projection,
-        )
-    if kind == "glossy":
-        matrix = normal(channels, count, sh.exit_count(output_order, projection), order**2).to(dtype)
-        return GlossyTransfer(**common, matrix=matrix, output_order=output_order, projection=projection)
-    if kind == "incident":
-        return IncidentTransfer(**common, matrix=normal(channels, count, output_order**2, order**2).to(dtype))
-    return FactoredTransfer(
-        **common,
-        matrix=normal(channels, count, FACTORS, order**2).to(dtype),
-        factors=normal(FACTORS, TEXELS, TEXELS),
-    )
+        seen = Dense(values=normal(VISIBILITY_ORDER**2, count).to(dtype)[None])
+        kernel = normal(sh.exit_count(output_order, projection), nodes) / math.sqrt(nodes)
+        layers[kind] = Visibility(signal=seen, kernel=kernel, degree=DEGREE, light_order=order, **exits, **common)
+    elif kind == "exit":
+        layers[kind] = Exit(signal=matrices(sh.exit_count(output_order, projection)), **exits, **common)
+    elif kind == "incident":
+        layers[kind] = Incident(signal=matrices(output_order**2), **common)
+    else:
+        layers[kind] = Factored(signal=matrices(FACTORS), factors=normal(FACTORS, TEXELS, TEXELS), **common)
+    return Transfer(receivers=vertices_, layers=layers, **metadata)
+
+
+def gloss(transfer):
+    """The layer that depends on the eye."""
+    return list(transfer.layers.values())[-1]
+
+
+def stored(transfer, layer=None):
+    """What a dense layer stores, the last one unless another is named."""
+    return (gloss(transfer) if layer is None else transfer.layers[layer]).signal.values
+
+
+def replaced(transfer, layer=None, **changes):
+    """The transfer with other fields: its own, those of its receivers, or those of a layer (the last one unless another
+    is named) and of its signal."""
+    name = list(transfer.layers)[-1] if layer is None else layer
+    found = transfer.layers[name]
+    own = {key: changes.pop(key) for key in list(changes) if key in transfer.provenance}
+    place = {key: changes.pop(key) for key in list(changes) if key in vars(transfer.receivers)}
+    # At once: receivers, layers and signals must fit each other whenever they are made.
+    seen = {key: changes.pop(key) for key in list(changes) if key not in vars(found.signal)}
+    layers = {**transfer.layers, name: found.replace(signal=found.signal.replace(**changes), **seen)}
+    return dataclasses.replace(transfer, receivers=transfer.receivers.replace(**place), layers=layers, **own)
 
 
 def frame_of(transfer, g):
     """Rows tangent, normal x tangent, normal of the glossy receiver g, float64."""
-    normal, tangent = transfer.normals[transfer.glossy[g]].double(), transfer.tangents[g].double()
+    normal, tangent = transfer.normals[gloss(transfer).receivers[g]].double(), gloss(transfer).tangents[g].double()
     return torch.stack([tangent, torch.linalg.cross(normal, tangent), normal])
 
 
 def looks_along(transfer, g, eye=None, view=None):
     """The local direction toward the eye, as it is defined, with the cases one after another."""
-    toward = view.double() if eye is None else eye.double() - transfer.positions[transfer.glossy[g]].double()
+    toward = view.double() if eye is None else eye.double() - transfer.positions[gloss(transfer).receivers[g]].double()
     x, y, z = (frame_of(transfer, g) @ toward).tolist()
     z = max(z, 0.0)
     length = math.sqrt(x * x + y * y + z * z)
@@ -91,36 +116,39 @@ def looks_along(transfer, g, eye=None, view=None):
 
 def exit_row(transfer, direction, exponent=None):
     """What the rows of the matrix are weighted with for one direction, float64."""
-    if transfer.kind == "incident":
-        order = transfer.output_order
+    layer = gloss(transfer)
+    if layer.kind == "incident":
+        order = layer.output_order
         mirrored = direction * torch.tensor([-1.0, -1.0, 1.0])
         return sh.zonal(sh.phong(40.0 if exponent is None else float(exponent), order), mirrored)
-    if transfer.kind == "factored":
-        return sample_hemisphere_map(transfer.factors.double(), direction)
-    return sh.exit_functions(direction, transfer.output_order, transfer.projection)
+    if layer.kind == "factored":
+        return sample_hemisphere_map(layer.factors.double(), direction)
+    return sh.exit_functions(direction, layer.output_order, layer.projection)
 
 
 def matrix_of(transfer, g):
     """M_ij of the glossy receiver g, [C, M, N], float64."""
-    if transfer.kind != "visibility":
-        return transfer.matrix[:, g].double()
-    nodes, _ = sh.gauss_legendre_hemisphere(transfer.degree)
-    seen = sh.hemisphere_basis(nodes, transfer.visibility_order) @ transfer.visibility[:, g].double()
+    layer = gloss(transfer)
+    if layer.kind != "visibility":
+        return layer.signal.values[:, g].double()
+    nodes, _ = sh.gauss_legendre_hemisphere(layer.degree)
+    seen = sh.hemisphere_basis(nodes, layer.visibility_order) @ layer.signal.values[0, :, g].double()
     world = nodes @ frame_of(transfer, g)
-    return ((transfer.kernel.double() * seen) @ sh.basis(world, transfer.order))[None]
+    return ((layer.kernel.double() * seen) @ sh.basis(world, transfer.order))[None]
 
 
 def by_definition(transfer, light, eye=None, view=None, exponent=None):
     """Exit radiance [V, 3] under one light toward one eye, a receiver after the other, in float64."""
     light = light.double()
     radiance = torch.zeros(transfer.vertices, 3, dtype=torch.float64)
-    if transfer.diffuse.shape[2]:
-        vectors = transfer.diffuse.double().expand(3, -1, -1)
+    if "diffuse" in transfer.layers:
+        vectors = stored(transfer, "diffuse").double().expand(3, -1, -1)
         radiance += transfer.albedo.double() * torch.einsum("cnv,nc->vc", vectors, light)
-    specular = transfer.specular.double().expand(len(transfer.glossy), 3)
-    for g in range(len(transfer.glossy)):
+    layer = gloss(transfer)
+    specular = layer.specular.double().expand(len(layer.receivers), 3)
+    for g in range(len(layer.receivers)):
         one = exponent if exponent is None or exponent.ndim == 0 else exponent[g]
         row = exit_row(transfer, looks_along(transfer, g, eye, view), one)
         sums = row @ (matrix_of(transfer, g) @ light.T[:, :, None]).expand(3, -1, 1)[..., 0].T
-        radiance[transfer.glossy[g]] += specular[g] * sums
+        radiance[layer.receivers[g]] += specular[g] * sums
     return radiance

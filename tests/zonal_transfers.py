@@ -7,7 +7,7 @@ from torch.nn.functional import normalize
 
 from torchprt import sh
 from torchprt.sh import yaw_pitch_roll
-from torchprt.transfer import ZonalFactoredTransfer, ZonalTransfer
+from torchprt.transfer import Diffuse, Factored, Transfer, Vertices, Zonal
 
 
 def random_zonal(
@@ -24,15 +24,18 @@ def random_zonal(
     positions, faces = bumpy(side, seed)
     rows = vertices if albedo[0] == "V" else albedo[0]
     bands = order - 2 if exact else order
-    return ZonalTransfer(
-        axis=normalize(normal(lobes, 3, vertices), dim=1).to(dtype),
-        coefficients=normal(channels, lobes, bands, vertices).to(dtype),
-        exact=normal(channels, 4 if exact else 0, vertices).to(dtype),
+    signal = Zonal(
+        axis=normalize(normal(lobes, 3, vertices), dim=1).to(dtype)[None],
+        coefficients=normal(channels, lobes, bands, vertices).to(dtype)[:, None],
+        exact=normal(channels, 4 if exact else 0, vertices).to(dtype)[:, None],
         squared_error=torch.rand(vertices, generator=generator, dtype=wide),
-        albedo=0.1 + 0.8 * torch.rand(rows, albedo[1], generator=generator, dtype=wide),
-        positions=positions.to(wide),
-        normals=normalize(normal(vertices, 3), dim=1).to(wide),
-        faces=faces,
+        **{name: metadata.pop(name) for name in ("smooth", "fit_error") if name in metadata},
+    )
+    albedo_ = 0.1 + 0.8 * torch.rand(rows, albedo[1], generator=generator, dtype=wide)
+    normals = normalize(normal(vertices, 3), dim=1).to(wide)
+    return Transfer(
+        receivers=Vertices(positions=positions.to(wide), normals=normals, faces=faces),
+        layers={"diffuse": Diffuse(albedo=albedo_, signal=signal)},
         **metadata,
     )
 
@@ -61,23 +64,26 @@ def random_zonal_factored(
     ]
     chosen = torch.randperm(vertices, generator=generator)[:glossy].sort().values
     across = torch.randn(glossy, 3, generator=generator, dtype=torch.float64)
-    count = vertices if diffuse else 0
-    return ZonalFactoredTransfer(
-        **{name: getattr(plain, name) for name in ("positions", "normals", "faces", "albedo")},
-        glossy=chosen,
-        tangents=normalize(torch.linalg.cross(plain.normals[chosen].double(), across), dim=1).to(wide),
-        specular=0.1 + 0.8 * torch.rand(glossy if specular[0] == "G" else 1, specular[1], generator=generator).to(wide),
-        diffuse=torch.zeros(channels, order**2, 0, dtype=dtype),
-        axis=torch.stack([one.axis for one in many])[..., :glossy].contiguous(),
-        coefficients=torch.stack([one.coefficients for one in many], 1)[..., :glossy].contiguous(),
-        exact=torch.stack([one.exact for one in many], 1)[..., :glossy].contiguous(),
-        factors=torch.randn(rows, 32, 32, generator=generator, dtype=torch.float64).to(wide),
-        diffuse_axis=plain.axis[..., :count],
-        diffuse_coefficients=plain.coefficients[..., :count],
-        diffuse_exact=plain.exact[..., :count],
+    parts = [one.layers["diffuse"].signal for one in many]
+    tangents = normalize(torch.linalg.cross(plain.normals[chosen].double(), across), dim=1).to(wide)
+    weights = torch.rand(glossy if specular[0] == "G" else 1, specular[1], generator=generator).to(wide)
+    signal = Zonal(
+        axis=torch.cat([one.axis for one in parts])[..., :glossy].contiguous(),
+        coefficients=torch.cat([one.coefficients for one in parts], 1)[..., :glossy].contiguous(),
+        exact=torch.cat([one.exact for one in parts], 1)[..., :glossy].contiguous(),
         squared_error=torch.zeros(glossy),
-        **metadata,
+        **{name: metadata.pop(name) for name in ("smooth", "fit_error") if name in metadata},
     )
+    layer = Factored(
+        signal=signal,
+        factors=torch.randn(rows, 32, 32, generator=generator, dtype=torch.float64).to(wide),
+        receivers=chosen,
+        tangents=tangents,
+        specular=0.1 + 0.8 * weights,
+        materials=metadata.pop("materials", []),
+    )
+    layers = {**plain.layers, "factored": layer} if diffuse else {"factored": layer}
+    return Transfer(receivers=plain.receivers, layers=layers, **metadata)
 
 
 def bumpy(side, seed=0):
@@ -99,20 +105,23 @@ def turns(*batch, dtype=torch.float32, seed=0):
     return yaw_pitch_roll(degrees).to(dtype)
 
 
-def vectors_by_definition(transfer, frames=None):
-    """Transfer vectors [C, N, V] in float64, a receiver and a lobe after the other; `frames [V, 3, 3]`."""
-    order, first = transfer.order, 2 if transfer.exact.shape[1] else 0
+def vectors_by_definition(transfer, frames=None, layer="diffuse", row=0):
+    """Transfer vectors [C, N, G] of a row of a layer in float64, a receiver and a lobe after the other; `frames`
+    [G, 3, 3]."""
+    signal = transfer.layers[layer].signal
+    order, first = signal.order, 2 if signal.exact.shape[2] else 0
+    receivers, channels, _, _ = signal.shape
     band = sh.bands(order)
-    vectors = torch.zeros(transfer.channels, order**2, transfer.vertices, dtype=torch.float64)
-    for v in range(transfer.vertices):
+    vectors = torch.zeros(channels, order**2, receivers, dtype=torch.float64)
+    for v in range(receivers):
         turn = torch.eye(3, dtype=torch.float64) if frames is None else frames[v].double()
-        for k in range(transfer.lobes):
-            values = sh.basis(turn @ transfer.axis[k, :, v].double(), order)
-            weights = torch.zeros(transfer.channels, order, dtype=torch.float64)
-            weights[:, first:] = transfer.coefficients[:, k, :, v].double()
+        for k in range(signal.lobes):
+            values = sh.basis(turn @ signal.axis[row, k, :, v].double(), order)
+            weights = torch.zeros(channels, order, dtype=torch.float64)
+            weights[:, first:] = signal.coefficients[:, row, k, :, v].double()
             vectors[:, :, v] += values * weights[:, band]
         if first:
-            low = sh.rotate(transfer.exact[:, :, v].double().T, turn).T
+            low = sh.rotate(signal.exact[:, row, :, v].double().T, turn).T
             vectors[:, :4, v] += low
     return vectors
 

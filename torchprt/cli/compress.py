@@ -130,8 +130,9 @@ def expected(text: str, transfer: Transfer, layer: str | None) -> Tensor:
     import torch
 
     from torchprt.compression import light_importance, natural_light_importance
+    from torchprt.compression.transfer import layer_to_compress
 
-    chosen = transfer.layers[layer] if layer in transfer.layers else list(transfer.layers.values())[-1]
+    _, chosen, _ = layer_to_compress(transfer, layer)
     if not chosen.meets_light:
         raise InputError(
             f"--importance is given, but no light is applied to {chosen.kind} as it is stored: leave it out"

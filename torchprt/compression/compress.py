@@ -57,7 +57,8 @@ def compress(
       stated are not weighed by it.
     - `report`, `checkpoint`: as for `clustered_pca`; the search for an error or a number of bytes goes on too. The file
       is removed when done unless it is to `keep` it (until the result is safe on disk, say).
-    The signal of the result states what it cost: `squared_error` of every receiver and `compression_error`, relative RMS.
+    The signal of the result states what it cost: `squared_error` of every receiver and `compression_error`, relative
+    RMS.
 
     Raises InputError as `clustered_pca`, if the layer has no receivers, is compressed already or is none, if sizes are
     given in more than one way, or if an error or a number of bytes cannot be met, with the best that can.

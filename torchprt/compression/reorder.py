@@ -16,9 +16,9 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
     """The same receivers, those of a cluster one after the other, and clusters of one supercluster too.
 
     The clusters are those of the last layer that has them. A supercluster holds at most `most` clusters that share
-    triangles; vertices that are in no cluster come last. `result.receivers.original [V]` says which vertex of `transfer`
-    every one was: `result.receivers.in_mesh_order(radiance)` is in the former order. So a mesh is split for engines that
-    draw a cluster at a time.
+    triangles; vertices that are in no cluster come last. `result.receivers.original [V]` says which vertex of
+    `transfer` every one was: `result.receivers.in_mesh_order(radiance)` is in the former order. So a mesh is split for
+    engines that draw a cluster at a time.
 
     Raises InputError if nothing is clustered, `most` is less than 1, there are no triangles, or the transfer is
     reordered already or no mesh.

@@ -43,8 +43,8 @@ def fit(
         signal = layer.signal
         if not layer.meets_light:
             raise InputError(
-                f"{layer.kind} has no lobes: it is held in functions of the hemisphere of each receiver, not in those of "
-                "the sphere of light, which lobes are, and turns with the frame of the receiver: bake with factors instead"
+                f"{layer.kind} has no lobes: it is held in functions of the hemisphere of each receiver, which turn "
+                "with its frame, and not in those of the sphere of light, as lobes are: bake with factors instead"
             )
         if signal.approximates:
             raise InputError(f"transfer of kind '{transfer.kind}' is compressed already: fit lobes to what was baked")

@@ -71,8 +71,8 @@ def transfer_error(transfer: Transfer, reference: Transfer) -> ErrorReport:
     """Error of diffuse transfer coefficients against those of `reference`, which may have more bands.
 
     Bands that `transfer` lacks count as zero, so the error of truncation is part of the figure. Albedo is not
-    compared. Compressed transfer counts as what it stands for, lobes in the rest pose. Raises InputError if the two have
-    other vertices or channels, one has other layers, or as `relative_rms`.
+    compared. Compressed transfer counts as what it stands for, lobes in the rest pose. Raises InputError if the two
+    have other vertices or channels, one has other layers, or as `relative_rms`.
     """
     if (transfer.vertices, transfer.channels) != (reference.vertices, reference.channels):
         raise InputError(

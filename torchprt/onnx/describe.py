@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,9 @@ from torchprt.errors import InputError
 from torchprt.onnx.operators import count_operators
 from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
-from torchprt.transfer.kinds import DIFFUSE, INCIDENT
 from torchprt.version import VERSION
 
-FORMAT = 1
+FORMAT = 2
 
 INPUTS = {
     "light": (
@@ -47,37 +46,35 @@ KEYS = (
 def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
-    `about`: what the arguments of the export add. Glossy transfer adds the metadata of its kind, `glossy` (how many
-    receivers have a glossy layer) and `specular`.
+    `about`: what the arguments of the export add. `layers` says of each layer its name, its kind and its signal; what
+    the last one and its signal say of themselves stands beside it. Transfer that depends on the eye adds `glossy` (how
+    many receivers the last layer is about), `specular` and `output_order`.
     """
-    provenance = {
-        field.name: getattr(transfer, field.name)
-        for field in dataclasses.fields(transfer)
-        if field.name not in transfer.layouts and field.name != "version"
-    }
+    last = list(transfer.layers.values())[-1]
     entries = {
         "torchprt": VERSION,
         "format": FORMAT,
         "kind": transfer.kind,
         "order": transfer.order,
         "conventions": CONVENTIONS,
-        "source": about["source"],
-        "size": about["size"],
         "vertices": transfer.vertices,
         "channels": transfer.channels,
         "albedo": "applied, one for all vertices" if transfer.albedo.shape[0] == 1 else "applied, one a vertex",
-        **provenance,
+        "layers": [
+            {"name": each, "kind": layer.kind, "signal": layer.signal.kind} for each, layer in transfer.layers.items()
+        ],
+        **transfer.provenance,
+        **last.signal.metadata(),
+        **last.metadata(),
+        **about,
         "baked_with": transfer.version,
     }
-    if not isinstance(transfer, DIFFUSE):
-        entries |= about | {
-            "glossy": len(transfer.glossy),
-            "specular": "applied, one for all" if transfer.specular.shape[0] == 1 else "applied, one a receiver",
-        }
-    elif "pose" in about:
-        entries["pose"] = about["pose"]
-    if isinstance(transfer, INCIDENT):
-        entries["output_order"] = transfer.output_order
+    del entries["version"]
+    if "eye" in last.needs:
+        entries["glossy"] = last.signal.shape[0]
+        entries["specular"] = "applied, one for all" if len(last.weight) == 1 else "applied, one a receiver"
+    if "reflectance" in last.needs:
+        entries["output_order"] = math.isqrt(last.signal.shape[2])
     return {key: json.dumps(value) for key, value in entries.items()}
 
 

@@ -16,13 +16,12 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.onnx.deformable import Pose
 from torchprt.onnx.describe import INPUTS, metadata, shape
-from torchprt.onnx.eye import Eye
-from torchprt.onnx.graph import Source
+from torchprt.onnx.graph import Pose, Source
 from torchprt.onnx.operators import OPSET, check_operators, count_operators
 from torchprt.onnx.parity import ParityError, ParityReport, compare
 from torchprt.onnx.plan import Plan, plan
+from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 

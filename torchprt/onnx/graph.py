@@ -1,4 +1,4 @@
-"""The modules that are traced into ONNX: the mathematics of the shaders in the layout that runs fastest there."""
+"""The module that is traced into ONNX: a light, turned, on the sum of all layers, toward an eye, in a pose."""
 
 from __future__ import annotations
 
@@ -7,81 +7,133 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from torchprt.onnx.layers import LayerGraph, layer_graph
+from torchprt.onnx.toward_eye import Eye
 from torchprt.sh import Rotation, cube_basis
-from torchprt.transfer import DiffuseTransfer
+from torchprt.shade import DeformedFrames, LayerModule, Shader
 
 Source = Literal["light", "environment"]
+Pose = Literal["frames", "positions"]
 
 
-class DiffuseGraph(nn.Module):
-    """`light [B, N, 3]`, `rotation [B, 3, 3]` to `radiance [B, V, 3]`, all float32.
+class ShaderGraph(nn.Module):
+    """`light [B, N, 3]` or environment, `rotation [B, 3, 3]`, what the shader needs, to `radiance [B, V, 3]`, all
+    float32.
 
-    What `DiffuseShader` computes, with the albedo folded into the transfer vectors wherever that stores nothing
-    more. Vertices are last until the one Transpose at the end: the product then streams the transfer once, which
-    ONNX Runtime runs about twice as fast as `[V, N] @ [N, 3]`.
+    The eye is `[B, 3]`. The pose is `frames [V, 3, 3]`, or `positions [V, 3]` from which the graph estimates them; it
+    has no batch. Vertices are last until the one Transpose at the end.
     """
 
-    transfer: Tensor
-    albedo: Tensor | None
-
-    def __init__(self, transfer: DiffuseTransfer) -> None:
+    def __init__(self, shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> None:
         super().__init__()
-        vectors, albedo = fold(transfer.transfer, transfer.albedo)
-        self.register_buffer("transfer", vectors[0] if len(vectors) == 1 else vectors)
-        self.register_buffer("albedo", albedo)
-        self.turn = Rotation(transfer.order)
-        self.coefficients = transfer.order**2
-        self.vertices = transfer.vertices
+        self.receive = EnvironmentSource(shader.order, size) if source == "environment" else LightSource(shader.order)
+        self.pose = None if pose is None else PoseGraph(shader.estimate if pose == "positions" else None)
+        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule)]
+        self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
     def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
-        return self.reflect(self.receive(light, rotation))
+        return self.shine(light, rotation, None, None)
 
-    def receive(self, light: Tensor, rotation: Tensor) -> Tensor:
-        """The light `[B, N, 3]` that shines, from the inputs."""
+    def shine(self, light: Tensor, rotation: Tensor, eye: Tensor | None, pose: Tensor | None) -> Tensor:
+        light = self.receive(light, rotation)
+        frames = points = None
+        if self.pose is not None and pose is not None:
+            frames, points = self.pose(pose), pose.T if pose.ndim == 2 else None
+        first, *others = (layer(light, eye, frames, points) for layer in self.layers)
+        for radiance in others:
+            first = first + radiance
+        return first.mT
+
+
+class SeenGraph(ShaderGraph):
+    """As `ShaderGraph`, toward an eye."""
+
+    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor) -> Tensor:  # type: ignore[override]
+        return self.shine(light, rotation, eye, None)
+
+
+class PosedGraph(ShaderGraph):
+    """As `ShaderGraph`, in a pose."""
+
+    def forward(self, light: Tensor, rotation: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
+        return self.shine(light, rotation, None, pose)
+
+
+class SeenPosedGraph(ShaderGraph):
+    """As `ShaderGraph`, toward an eye, in a pose."""
+
+    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
+        return self.shine(light, rotation, eye, pose)
+
+
+def shader_graph(shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> ShaderGraph:
+    """The graph with the inputs that the shader needs: what is traced has as many arguments as it has inputs."""
+    made = {
+        (False, False): ShaderGraph,
+        (True, False): SeenGraph,
+        (False, True): PosedGraph,
+        (True, True): SeenPosedGraph,
+    }["eye" in shader.needs, pose is not None]
+    return made(shader, source, size, eye, pose)
+
+
+class FixedLightGraph(nn.Module):
+    """`eye [B, 3]` to `radiance [B, V, 3]` under one light that is inside, all float32."""
+
+    below: Tensor | None
+
+    def __init__(self, shader: Shader, light: Tensor, eye: Eye) -> None:
+        """`light [N, 3]`."""
+        super().__init__()
+        radiance = shader.fix_light(light).radiance
+        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule) and "eye" in layer.needs]
+        self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, light=light) for layer in layers)
+        self.register_buffer("below", None if radiance is None else radiance.detach().float().contiguous())
+
+    def forward(self, eye: Tensor) -> Tensor:
+        total = self.below
+        for part in self.layers:
+            assert isinstance(part, LayerGraph)
+            radiance = part.seen(eye)
+            total = radiance if total is None else radiance + total
+        assert total is not None
+        return total.mT
+
+
+class LightSource(nn.Module):
+    """`light [B, N, 3]` and `rotation [B, 3, 3]` to the light that shines."""
+
+    def __init__(self, order: int) -> None:
+        super().__init__()
+        self.turn = Rotation(order)
+        self.coefficients = order**2
+
+    def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
         return self.turn(light, rotation)
 
-    def reflect(self, light: Tensor) -> Tensor:
-        """Radiance `[B, V, 3]` under the turned light."""
-        if self.transfer.ndim == 3:
-            return (light.permute(2, 0, 1) @ self.transfer).permute(1, 2, 0)
-        if self.albedo is not None and self.albedo.shape[1] == 1:
-            light = light * self.albedo.T
-        radiance = (light.mT.reshape(-1, self.coefficients) @ self.transfer).reshape(-1, 3, self.vertices)
-        if self.albedo is not None and self.albedo.shape[1] != 1:
-            radiance = radiance * self.albedo
-        return radiance.mT
 
-
-class EnvironmentGraph(DiffuseGraph):
-    """`environment [B, 6, size, size, 3]`, `rotation [B, 3, 3]` to `radiance [B, V, 3]`, all float32."""
+class EnvironmentSource(LightSource):
+    """`environment [B, 6, size, size, 3]` and `rotation [B, 3, 3]` to the light that shines."""
 
     weights: Tensor
 
-    def __init__(self, transfer: DiffuseTransfer, size: int) -> None:
-        super().__init__(transfer)
-        self.register_buffer("weights", cube_basis(transfer.order, size).to(torch.float32).T.contiguous())
+    def __init__(self, order: int, size: int) -> None:
+        super().__init__(order)
+        self.register_buffer("weights", cube_basis(order, size).to(torch.float32).T.contiguous())
 
     def forward(self, environment: Tensor, rotation: Tensor) -> Tensor:
-        return self.reflect(self.receive(environment, rotation))
-
-    def receive(self, environment: Tensor, rotation: Tensor) -> Tensor:
-        """The light `[B, N, 3]` that shines, from the inputs."""
         texels = environment.movedim(-1, 1).reshape(-1, self.weights.shape[0])
         light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
-        return super().receive(light, rotation)
+        return super().forward(light, rotation)
 
 
-def fold(vectors: Tensor, weight: Tensor) -> tuple[Tensor, Tensor | None]:
-    """`vectors [C, K, V]` times `weight [V or 1, 3 or 1]` in float32, and the weight `[3, V or 1]` if it stays apart.
+class PoseGraph(nn.Module):
+    """`frames [V, 3, 3]`, or `positions [V, 3]` of a mesh, to frames `[3, 3, V]`."""
 
-    RGB weights over single-channel vectors do: folding them would store three times as much.
-    """
-    vectors, weight = vectors.detach(), weight.detach()
-    if weight.shape[1] == 3 and len(vectors) == 1:
-        return vectors.float().contiguous(), weight.T.float().contiguous()
-    wide = torch.promote_types(torch.promote_types(vectors.dtype, weight.dtype), torch.float32)
-    return (vectors.to(wide) * weight.T[:, None].to(wide)).float().contiguous(), None
+    def __init__(self, estimate: DeformedFrames | None) -> None:
+        super().__init__()
+        self.estimate = estimate
 
-
-def make_graph(transfer: DiffuseTransfer, source: Source, size: int) -> DiffuseGraph:
-    return DiffuseGraph(transfer) if source == "light" else EnvironmentGraph(transfer, size)
+    def forward(self, pose: Tensor) -> Tensor:
+        frames = pose if self.estimate is None else self.estimate(pose)
+        return frames.permute(1, 2, 0)

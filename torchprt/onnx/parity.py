@@ -15,29 +15,20 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.onnx.eyes import conditions, random_eyes
-from torchprt.onnx.poses import random_poses, receivers
+from torchprt.onnx.hard_eyes import conditions, random_eyes
+from torchprt.onnx.hard_poses import random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
-from torchprt.shade import (
-    DeformableFactoredShader,
-    DeformableShader,
-    DiffuseShader,
-    EnvironmentShader,
-    FactoredShader,
-    FixedLightShader,
-    ViewShader,
-)
+from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader
 
-Module: TypeAlias = (
-    DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader | EnvironmentShader | FixedLightShader
-)
+Module: TypeAlias = Shader | EnvironmentShader | FixedLightShader
 
-# What shaders take beside the light.
-MORE: dict[type, tuple[tuple[str, ...], ...]] = {
-    ViewShader: (("eye",), ("view",)),
-    DeformableShader: (("frames",), ("positions",)),
-    DeformableFactoredShader: (("eye", "positions"), ("view", "positions"), ("view", "frames")),
+# What files take beside the light, by what the shader needs.
+MORE: dict[frozenset[str], tuple[tuple[str, ...], ...]] = {
+    frozenset(): ((),),
+    frozenset({"eye"}): (("eye",), ("view",)),
+    frozenset({"pose"}): (("frames",), ("positions",)),
+    frozenset({"eye", "pose"}): (("eye", "positions"), ("view", "positions"), ("view", "frames")),
 }
 SCALES = (1.0, 1e-6, 1e6)
 HALF_TURNS = ((0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0), (0.0, 0.0, 180.0))
@@ -86,17 +77,13 @@ def tolerance(order: int, module: Module | None = None) -> float:
     orthogonal on the hemisphere: coefficients are larger than what they sum up to, by up to one over the root of the
     least eigenvalue of their Gram matrix (57 at order 5), and so is the error.
     """
-    shader = _shader(module)
     larger = 1.0
-    if isinstance(shader, ViewShader | DeformableFactoredShader):
-        exits: int = getattr(shader, "output_order", 1)
-        if isinstance(shader, FactoredShader | DeformableFactoredShader):
-            exits = shader.factors.shape[-1]
-        order = max(order, exits)
-        if getattr(shader, "projection", None) == "reduced" and exits > 1:
-            kept = [index for index in range(exits**2) if index != DISCARDED]
-            least = torch.linalg.eigvalsh(hemisphere_gram(exits)[kept][:, kept])[0]
-            larger = float(least) ** -0.5
+    for layer in _eye_layers(module):
+        order = max(order, layer.exit_order)
+        if getattr(layer, "projection", None) == "reduced" and layer.exit_order > 1:
+            kept = [index for index in range(layer.exit_order**2) if index != DISCARDED]
+            least = torch.linalg.eigvalsh(hemisphere_gram(layer.exit_order)[kept][:, kept])[0]
+            larger = max(larger, float(least) ** -0.5)
     return 16 * torch.finfo(torch.float32).eps * order * larger
 
 
@@ -125,12 +112,12 @@ def compare(
     _check_inputs(path, names, module)
     reference = copy.deepcopy(module).double().eval()
     shader = _shader(reference)
-    if isinstance(shader, ViewShader | DeformableFactoredShader):
-        shader.points = shader.points.float().double()
+    for layer in _eye_layers(reference):
+        layer.points = layer.points.float().double()
     feeds = _cases(names, reference, shader, seed)
     count = len(next(iter(feeds.values())))
     poses: list[dict[str, Tensor]] = [{}]
-    if isinstance(shader, DeformableShader | DeformableFactoredShader):
+    if isinstance(shader, Shader) and "pose" in shader.needs:
         poses = random_poses(shader, names[-1], seed)
     rms = largest = 0.0
     for pose in poses:
@@ -151,7 +138,7 @@ def compare(
                     rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
                     largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
     total = count * len(batches) * len(poses)
-    return ParityReport(rms, largest, tolerance(_order(module), module), total, tuple(batches))
+    return ParityReport(rms, largest, tolerance(shader.order, module), total, tuple(batches))
 
 
 def open_session(path: Path) -> onnxruntime.InferenceSession:
@@ -166,24 +153,25 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
     lights = [] if isinstance(module, FixedLightShader) else ["light", "rotation"]
     if isinstance(module, EnvironmentShader):
         lights[0] = "environment"
-    known = [lights]
-    for kind, more in MORE.items():
-        if isinstance(_shader(module), kind):
-            known = [[*lights, *names] for names in more]
+    known = [[*lights, *more] for more in MORE[_needs(module)]]
     if names not in known:
         taken = " or ".join(", ".join(inputs) for inputs in known)
         raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
 
 
-def _shader(module: Module | None) -> Module | None:
+def _shader(module: Module) -> Shader | FixedLightShader:
     """The shader of transfer inside."""
-    return module.shader if isinstance(module, EnvironmentShader | FixedLightShader) else module
+    return module.shader if isinstance(module, EnvironmentShader) else module
 
 
-def _order(module: Module) -> int:
-    shader = _shader(module)
-    assert isinstance(shader, DiffuseShader | ViewShader | DeformableShader | DeformableFactoredShader)
-    return shader.order
+def _needs(module: Module) -> frozenset[str]:
+    return _shader(module).needs
+
+
+def _eye_layers(module: Module | None) -> list[EyeLayerModule]:
+    """The layers that depend on the eye."""
+    layers = [] if module is None else _shader(module).layers.values()
+    return [layer for layer in layers if isinstance(layer, EyeLayerModule)]
 
 
 def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:
@@ -193,17 +181,20 @@ def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:
     return module(*lights, **wide)
 
 
-def _weights(shader: Module | None, case: dict[str, Tensor]) -> Tensor:
-    """What the difference of each receiver counts, `[V, 1]` or one for all."""
-    if not isinstance(shader, ViewShader | DeformableFactoredShader):
-        return torch.ones(1, 1, dtype=torch.float64)
+def _weights(shader: Shader | FixedLightShader, case: dict[str, Tensor]) -> Tensor:
+    """What the difference of each receiver counts, `[V, 1]`: the least that one of its layers lets it."""
     eye, view = (case[name].double() if name in case else None for name in ("eye", "view"))
     weights = torch.ones(shader.vertices, dtype=torch.float64)
-    seen = conditions(receivers(shader, case), eye, view)
-    return weights.index_copy(0, shader.glossy, seen).unsqueeze(-1)
+    for layer in _eye_layers(shader):
+        seen = conditions(receivers(shader, layer, case), eye, view)
+        if layer.receivers is None:
+            weights = torch.minimum(weights, seen)
+        else:
+            weights = weights.scatter_reduce(0, layer.receivers, seen, "amin")
+    return weights.unsqueeze(-1)
 
 
-def _cases(names: list[str], module: Module, shader: Module | None, seed: int) -> dict[str, Tensor]:
+def _cases(names: list[str], module: Module, shader: Shader | FixedLightShader, seed: int) -> dict[str, Tensor]:
     """Every scale under every rotation: 24 of each input that is named, in float32."""
     generator = torch.Generator().manual_seed(seed)
     degrees = torch.cat([torch.tensor(HALF_TURNS), 360 * torch.rand(4, 3, generator=generator)])
@@ -216,15 +207,15 @@ def _cases(names: list[str], module: Module, shader: Module | None, seed: int) -
         environments = torch.exp(math.log(1000) * torch.rand(shape, generator=generator))
         cases["environment"] = environments * scales.reshape(-1, 1, 1, 1, 1)
     elif "light" in names:
-        order = _order(module)
+        order = shader.order
         decay = (1 + bands(order)) ** -2.0
         lights = torch.randn(count, order * order, 3, generator=generator) * decay[:, None]
         cases["light"] = lights * scales.reshape(-1, 1, 1)
     if "rotation" in names:
         cases["rotation"] = rotations
-    if isinstance(shader, ViewShader | DeformableFactoredShader):
-        name = next(name for name in names if name in ("eye", "view"))
-        cases[name] = random_eyes(receivers(shader, {}), name, count, generator)
+    for name in ("eye", "view"):
+        if name in names:
+            cases[name] = random_eyes(receivers(shader, _eye_layers(shader)[-1], {}), name, count, generator)
     return cases
 
 

@@ -10,36 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.onnx.clustered import BLOCK, ClusteredGraph
-from torchprt.onnx.deformable import DeformableGraph, Pose
-from torchprt.onnx.deformable_glossy import DeformableGlossyGraph
-from torchprt.onnx.eye import Eye
-from torchprt.onnx.glossy import FixedLightGraph, GlossyGraph
-from torchprt.onnx.graph import Source, make_graph
+from torchprt.onnx.graph import FixedLightGraph, Pose, Source, shader_graph
 from torchprt.onnx.parity import Module
-from torchprt.shade import (
-    DeformableFactoredShader,
-    DeformableShader,
-    DiffuseShader,
-    EnvironmentShader,
-    FixedEyeShader,
-    FixedLightShader,
-    ViewShader,
-    shader,
-)
-from torchprt.shade.view import ViewTransfer
-from torchprt.transfer import (
-    ClusteredIncidentTransfer,
-    ClusteredTransfer,
-    ClusteredVisibilityTransfer,
-    DiffuseTransfer,
-    IncidentTransfer,
-    Transfer,
-    VisibilityTransfer,
-    ZonalFactoredTransfer,
-    ZonalTransfer,
-)
-from torchprt.transfer.clustered import ClusteredLayers, Clusters
+from torchprt.onnx.toward_eye import Eye
+from torchprt.shade import EnvironmentShader, Shader, shader
+from torchprt.transfer import Transfer
 
 Exponent: TypeAlias = float | int | Tensor | None
 
@@ -77,201 +52,128 @@ def plan(
     pose: Pose | None = None,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
+    needs = transfer.needs
+    _check_words(source, size, eye)
+    if transfer.vertices == 0:
+        raise InputError("the transfer has no vertices: there is nothing to export")
+    _check_given(transfer, {"eye": None if eye == "point" else eye, "fix_eye": fix_eye, "fix_light": fix_light})
+    if "reflectance" in needs and exponent is None:
+        raise InputError(
+            f"transfer of kind '{transfer.kind}' has no reflectance: give exponent (of a Phong lobe), or export what "
+            "shade.with_material makes of it"
+        )
+    if exponent is not None and "reflectance" not in needs:
+        raise InputError(f"exponent is given, but transfer of kind '{transfer.kind}' has its reflectance baked in")
+    if fix_eye is not None and fix_light is not None:
+        raise InputError("fix_eye and fix_light: nothing is left to change, give one of them")
+    name = "eye" if eye == "point" else "view"
+
+    def made(dtype: torch.dtype) -> Shader:
+        return shader(transfer, dtype=dtype, exponent=exponent)
+
+    incident = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
+    inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
+    about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
+    if "eye" in needs:
+        about |= {"eye": eye, "fixed": None}
+    if exponent is not None:
+        lobe = torch.as_tensor(exponent)
+        about["exponent"] = float(lobe) if lobe.numel() == 1 else "one a receiver"
+    texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
+
+    def from_source(module: Shader) -> Module:
+        return EnvironmentShader(module, size) if source == "environment" else module
+
+    if fix_eye is not None:
+        place = {name: _eye(fix_eye)}
+        _check_weights(_weight_columns(transfer) * transfer.order**2 * transfer.vertices + texels)
+        return Plan(
+            inputs,
+            transfer.vertices,
+            about | {"fixed": {key: value.tolist() for key, value in place.items()}},
+            lambda: shader_graph(made(torch.float64).fix_eye(**place), source, size, eye, None),
+            lambda: from_source(made(torch.float64).fix_eye(**place)),
+        )
+    counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
+    if "eye" in needs and not max(counts):
+        raise InputError("no receiver is glossy, so nothing depends on the eye: give fix_eye, any will do")
+    if fix_light is not None:
+        if source != "light":
+            raise InputError("fix_light is given, so the graph takes no environment: leave source at 'light'")
+        light = _light(fix_light, transfer.order)
+        rows = sum(layer.signal.shape[0] * layer.signal.shape[2] for layer in transfer.eye_layers.values())
+        _check_weights(3 * (rows + transfer.vertices) + _places(transfer))
+        return Plan(
+            {name: (3,)},
+            transfer.vertices,
+            about | {"source": None, "fixed": "light"},
+            lambda: FixedLightGraph(made(torch.float64), light, eye),
+            lambda: made(torch.float64).fix_light(light),
+        )
+    if "eye" in needs:
+        inputs[name] = (3,)
+    _check_weights(_stored(transfer) + _places(transfer) + texels, glossy="eye" in needs)
+    chosen = _pose(transfer, eye, pose)
+    if chosen is not None:
+        inputs[chosen] = (transfer.vertices, 3, 3) if chosen == "frames" else (transfer.vertices, 3)
+        about["pose"] = chosen
+    return Plan(
+        inputs,
+        transfer.vertices,
+        about,
+        lambda: shader_graph(made(torch.float32), source, size, eye, chosen),
+        lambda: from_source(made(torch.float64)),
+        single=() if chosen is None else (chosen,),
+    )
+
+
+def _check_words(source: str, size: int, eye: str) -> None:
     if source not in ("light", "environment"):
         raise InputError(f"source '{source}' is unknown: use 'light' or 'environment'")
     if source == "environment" and size < 2:
         raise InputError(f"size {size} of the cube map is too small: give at least 2")
     if eye not in ("point", "direction"):
         raise InputError(f"eye '{eye}' is unknown: use 'point' or 'direction'")
-    if transfer.vertices == 0:
-        raise InputError("the transfer has no vertices: there is nothing to export")
-    incident = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
-    inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
-    about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
-    texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
-    if pose is not None and not isinstance(transfer, ZonalTransfer | ZonalFactoredTransfer):
-        raise InputError(f"pose is given, but transfer of kind '{transfer.kind}' does not deform: omit it")
-    if isinstance(transfer, DiffuseTransfer | ClusteredTransfer | ZonalTransfer):
-        given = {
-            "eye": None if eye == "point" else eye,
-            "fix_eye": fix_eye,
-            "fix_light": fix_light,
-            "exponent": exponent,
-        }
-        for name, value in given.items():
-            if value is not None:
-                raise InputError(f"{name} is given, but diffuse transfer has neither eye nor lobe: omit it")
-        if isinstance(transfer, ZonalTransfer):
-            return _posed(transfer, inputs, about, source, size, _pose(transfer, pose or "frames"), texels)
-        if isinstance(transfer, ClusteredTransfer):
-            stored = _representatives(transfer) + transfer.albedo.numel()
-        else:
-            stored = transfer.transfer.numel() + _apart(transfer.albedo, transfer.channels)
-        _check_weights(stored + texels)
-        return Plan(
-            inputs,
-            transfer.vertices,
-            about,
-            lambda: (
-                ClusteredGraph(transfer, source, size)
-                if isinstance(transfer, ClusteredTransfer)
-                else make_graph(transfer, source, size)
-            ),
-            lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
-        )
-    if isinstance(transfer, ZonalFactoredTransfer):
-        for name, value in {"fix_eye": fix_eye, "fix_light": fix_light, "exponent": exponent}.items():
-            if value is not None:
-                raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' takes eye, light and pose")
-        chosen = _pose(transfer, pose or ("positions" if eye == "point" else "frames"))
-        return _posed_gloss(transfer, inputs, about, source, size, eye, chosen, texels)
-    about |= {"eye": eye, "fixed": None}
-    if isinstance(transfer, IncidentTransfer | ClusteredIncidentTransfer):
-        if exponent is None:
+
+
+def _check_given(transfer: Transfer, given: dict[str, Any]) -> None:
+    """InputError if an argument about the eye is given that the transfer has no use for."""
+    for name, value in given.items():
+        if value is None:
+            continue
+        if "eye" not in transfer.needs:
             raise InputError(
-                "transfer of kind 'incident' has no reflectance: give exponent (of a Phong lobe), or export what "
-                "shade.with_material makes of it"
+                f"{name} is given, but transfer of kind '{transfer.kind}' does not depend on the eye: omit it"
             )
-        lobe = torch.as_tensor(exponent)
-        about["exponent"] = float(lobe) if lobe.numel() == 1 else "one a receiver"
-    elif exponent is not None:
-        raise InputError(f"exponent is given, but transfer of kind '{transfer.kind}' has its reflectance baked in")
-    if fix_eye is not None and fix_light is not None:
-        raise InputError("fix_eye and fix_light: nothing is left to change, give one of them")
-    name = "eye" if eye == "point" else "view"
-    if fix_eye is not None:
-        place = _eye(fix_eye)
-        colour = max(transfer.channels, transfer.albedo.shape[1], transfer.specular.shape[1])
-        _check_weights(colour * transfer.order**2 * transfer.vertices + texels)
-
-        def fixed() -> FixedEyeShader:
-            return _shader(transfer, torch.float64, exponent).fix_eye(**{name: place})
-
-        return Plan(
-            inputs,
-            transfer.vertices,
-            about | {"fixed": {name: place.tolist()}},
-            lambda: make_graph(_as_diffuse(transfer, fixed()), source, size),
-            lambda: _from(source, size, fixed()),
-        )
-    if not len(transfer.glossy):
-        raise InputError("no receiver is glossy, so nothing depends on the eye: give fix_eye, any will do")
-    if fix_light is not None:
-        if source != "light":
-            raise InputError("fix_light is given, so the graph takes no environment: leave source at 'light'")
-        light = _light(fix_light, transfer.order)
-        _check_weights(3 * (_rows(transfer) * len(transfer.glossy) + transfer.vertices) + _places(transfer))
-
-        def lit() -> FixedLightShader:
-            return _shader(transfer, torch.float64, exponent).fix_light(light)
-
-        return Plan(
-            {name: (3,)},
-            transfer.vertices,
-            about | {"source": None, "fixed": "light"},
-            lambda: FixedLightGraph(_shader(transfer, torch.float64, exponent), transfer, light, eye),
-            lit,
-        )
-    weights = _stored(transfer) + _apart(transfer.specular, transfer.channels) + _places(transfer)
-    weights += transfer.diffuse.numel() + _apart(transfer.albedo, transfer.channels) + texels
-    _check_weights(weights, glossy=True)
-    return Plan(
-        inputs | {name: (3,)},
-        transfer.vertices,
-        about,
-        lambda: GlossyGraph(_shader(transfer, torch.float32, exponent), transfer, source, size, eye),
-        lambda: _from(source, size, _shader(transfer, torch.float64, exponent)),
-    )
+        if "pose" in transfer.needs and name != "eye":
+            raise InputError(
+                f"{name} is given, but transfer of kind '{transfer.kind}' takes eye, light and pose: fix the pose "
+                "first, with shade.at_rest"
+            )
 
 
-def _posed(
-    transfer: ZonalTransfer,
-    inputs: dict[str, tuple[int, ...]],
-    about: dict[str, Any],
-    source: Source,
-    size: int,
-    pose: Pose,
-    texels: int,
-) -> Plan:
-    """The plan of lobes that turn with the surface."""
-    stored = transfer.bytes // transfer.axis.element_size() + _apart(transfer.albedo, transfer.channels) + texels
-    _check_weights(stored + (ESTIMATE * transfer.vertices if pose == "positions" else 0))
-    return Plan(
-        inputs | {pose: _shape(transfer, pose)},
-        transfer.vertices,
-        about | {"pose": pose},
-        lambda: DeformableGraph(shader(transfer, dtype=torch.float32), transfer, source, size, pose),
-        lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
-        single=(pose,),
-    )
-
-
-def _posed_gloss(
-    transfer: ZonalFactoredTransfer,
-    inputs: dict[str, tuple[int, ...]],
-    about: dict[str, Any],
-    source: Source,
-    size: int,
-    eye: Eye,
-    pose: Pose,
-    texels: int,
-) -> Plan:
-    """The plan of glossy lobes that turn with the surface."""
-    if pose == "frames" and eye == "point":
-        raise InputError(
-            "eye is a point and pose is frames, which do not say where the vertices are: give pose='positions', or "
-            "eye='direction'"
-        )
-    if not len(transfer.glossy):
-        raise InputError("no receiver is glossy: fit lobes to the diffuse transfer alone")
-    stored = transfer.bytes // transfer.axis.element_size() + 12 * len(transfer.glossy) + 6 * transfer.vertices + texels
-    _check_weights(stored + (ESTIMATE * transfer.vertices if pose == "positions" else 0))
-    name = "eye" if eye == "point" else "view"
-    return Plan(
-        inputs | {name: (3,), pose: _shape(transfer, pose)},
-        transfer.vertices,
-        about | {"eye": eye, "fixed": None, "pose": pose},
-        lambda: DeformableGlossyGraph(shader(transfer, dtype=torch.float32), transfer, source, size, eye, pose),
-        lambda: _from(source, size, shader(transfer, dtype=torch.float64)),
-        single=(pose,),
-    )
-
-
-def _pose(transfer: ZonalTransfer | ZonalFactoredTransfer, pose: Pose) -> Pose:
-    """`pose`; InputError if it is unknown, cannot be estimated, or there is nothing that it turns."""
+def _pose(transfer: Transfer, eye: Eye, pose: Pose | None) -> Pose | None:
+    """How a pose is given; InputError if there is none, it is unknown, cannot be estimated or does not suffice."""
+    if "pose" not in transfer.needs:
+        if pose is not None:
+            raise InputError(f"pose is given, but transfer of kind '{transfer.kind}' does not deform: omit it")
+        return None
+    point = "eye" in transfer.needs and eye == "point"
+    pose = ("positions" if point else "frames") if pose is None else pose
     if pose not in ("frames", "positions"):
         raise InputError(f"pose '{pose}' is unknown: use 'frames' or 'positions'")
     if pose == "positions" and not len(transfer.faces):
         raise InputError("the transfer has no faces, from which frames are estimated: use pose='frames'")
-    if not transfer.lobes and not transfer.exact.shape[-2]:
+    if pose == "frames" and point:
+        raise InputError(
+            "eye is a point and pose is frames, which do not say where the vertices are: give pose='positions', or "
+            "eye='direction'"
+        )
+    if not any(layer.signal.bytes for layer in transfer.layers.values()):
         raise InputError("the transfer has no lobes: there is nothing to export")
+    if pose == "positions":
+        _check_weights(_stored(transfer) + ESTIMATE * transfer.vertices)
     return pose
-
-
-def _shape(transfer: ZonalTransfer | ZonalFactoredTransfer, pose: Pose) -> tuple[int, ...]:
-    return (transfer.vertices, 3, 3) if pose == "frames" else (transfer.vertices, 3)
-
-
-def _shader(transfer: ViewTransfer, dtype: torch.dtype, exponent: Exponent) -> ViewShader:
-    module = shader(transfer, dtype=dtype, exponent=exponent)
-    assert isinstance(module, ViewShader)
-    return module
-
-
-def _from(
-    source: Source, size: int, module: ViewShader | DiffuseShader | DeformableShader | DeformableFactoredShader
-) -> Module:
-    return EnvironmentShader(module, size) if source == "environment" else module
-
-
-def _as_diffuse(transfer: ViewTransfer, fixed: FixedEyeShader) -> DiffuseTransfer:
-    return DiffuseTransfer(
-        transfer=fixed.transfer.detach(),
-        albedo=fixed.albedo,
-        positions=transfer.positions,
-        normals=transfer.normals,
-        faces=transfer.faces,
-    )
 
 
 def _eye(given: Sequence[float] | Tensor) -> Tensor:
@@ -289,33 +191,21 @@ def _light(given: Tensor, order: int) -> Tensor:
     return given.detach().double()
 
 
-def _apart(weight: Tensor, channels: int) -> int:
-    """Numbers of a weight that is not folded into what it weighs."""
-    return weight.numel() if channels == 1 and weight.shape[1] == 3 else 0
+def _stored(transfer: Transfer) -> int:
+    """Numbers of all layers: their signals, weights and tables. Padding of clusters is little beside them."""
+    parts = [part for layer in transfer.layers.values() for part in (layer, layer.signal)]
+    return sum(value.numel() for part in parts for value in part.tensors().values())
 
 
-def _places(transfer: ViewTransfer) -> int:
-    """Numbers that say where the receivers are: frames and positions, and two for a 64-bit index."""
-    return 12 * len(transfer.glossy) + 2 * transfer.vertices
+def _places(transfer: Transfer) -> int:
+    """Numbers that say where the receivers of layers that depend on the eye are: frames and positions, and an index."""
+    counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
+    return sum(12 * count + 2 * transfer.vertices for count in counts)
 
 
-def _rows(transfer: ViewTransfer) -> int:
-    if isinstance(transfer, VisibilityTransfer | ClusteredVisibilityTransfer):
-        return len(transfer.kernel)
-    return transfer.shared.shape[2] if isinstance(transfer, ClusteredLayers) else transfer.matrix.shape[2]
-
-
-def _stored(transfer: ViewTransfer) -> int:
-    """Numbers of the glossy layer."""
-    if isinstance(transfer, ClusteredLayers):
-        return _representatives(transfer)
-    return (transfer.visibility if isinstance(transfer, VisibilityTransfer) else transfer.matrix).numel()
-
-
-def _representatives(transfer: Clusters) -> int:
-    """Numbers of the representatives, and of the weights, at most: blocks are filled, counts rounded up."""
-    filled = 2 * (len(transfer.weights) + len(transfer.label)) + BLOCK * len(transfer.basis)
-    return transfer.mean.numel() + transfer.basis.numel() + transfer.shared.numel() + filled
+def _weight_columns(transfer: Transfer) -> int:
+    """Channels that the product of transfer and weights has."""
+    return max(max(layer.signal.shape[1], layer.weight.shape[1]) for layer in transfer.layers.values())
 
 
 def _check_weights(count: int, glossy: bool = False) -> None:

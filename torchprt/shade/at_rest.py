@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from torchprt.shade.dense import DenseSignal
 from torchprt.shade.layer import layer_module
 from torchprt.transfer import Dense, Transfer
 
@@ -18,6 +19,7 @@ def at_rest(transfer: Transfer) -> Transfer:
         for name, layer in transfer.layers.items():
             if layer.signal.follows_pose:
                 dtype = torch.promote_types(layer.signal.dtype, torch.float32)
-                module = layer_module(layer, transfer.receivers, dtype, (), {}).posed(None, None)
-                made[name] = layer.replace(signal=Dense(values=module.signal.values))
+                still = layer_module(layer, transfer.receivers, dtype, (), {}).posed(None, None).signal
+                assert isinstance(still, DenseSignal)
+                made[name] = layer.replace(signal=Dense(values=still.values))
     return transfer.with_layers(**made)

@@ -16,8 +16,8 @@ def light_product(
 ) -> Float[Tensor, "... 3 V"]:
     """`sum_i vectors_i light_i`; a dimension of the batch in which `vectors` has size 1 only adds lights to a product.
 
-    One matrix product if the vectors have no batch; C = 1, or 3, a channel of the light each. `out [*B, V, 3]`: a former
-    result to write over; InputError if it is not of this batch.
+    One matrix product if the vectors have no batch; C = 1, or 3, a channel of the light each. `out [*B, V, 3]`: a
+    former result to write over; InputError if it is not of this batch.
     """
     channels, count = vectors.shape[:2]
     batch = torch.broadcast_shapes(light.shape[:-2], vectors.shape[2:-1])

@@ -73,7 +73,7 @@ class ClusteredSignal(SignalModule):
         return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=self.weights)
 
     def sent(self, product: Callable[[Tensor], Tensor]) -> Float[Tensor, "R D"]:
-        """What every representative becomes under `product`, linear, of signals `[Q or R, C, M, N]` to rows `[., D]`."""
+        """What representatives become under `product`, linear, of signals `[Q or R, C, M, N]` to rows `[., D]`."""
         if len(self.shared):
             return self.representatives @ product(self.shared)
         return product(self.representatives)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Collection
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -13,7 +14,7 @@ from torchprt.brdf import sample_hemisphere_map
 from torchprt.sh import exit_functions
 from torchprt.shade.dense import DenseSignal
 from torchprt.shade.layer import Chosen, LayerModule, M, layer_module
-from torchprt.shade.signal import hold
+from torchprt.shade.signal import SignalModule, hold
 from torchprt.shade.view_directions import local_frames, local_views, toward_eye
 from torchprt.transfer import Exit, Factored, Receivers
 from torchprt.transfer.layer import EyeLayer
@@ -25,13 +26,13 @@ class EyeLayerModule(LayerModule):
     Buffers: `specular`, those of the subclass and of the signal, and where the receivers are: `points [3, G]`, in the
     dtype of the positions if that is wider, and `frames [3, 3, G]`, rows tangent, bitangent, normal, at rest.
 
-    Laws: an eye below the tangent plane of a receiver counts as on it, an eye at a receiver as above it (`local_views`);
-    a receiver whose normal is zero has no such layer. Directions are computed from eye - position in the dtype of the
-    wider: in float32 they err by about 6e-8 (|eye| + |position|) / distance, so scenes far from the origin want
-    positions and eye in float64; nothing but the subtraction is then done in it.
+    Laws: an eye below the tangent plane of a receiver counts as on it, an eye at a receiver as above it
+    (`local_views`); a receiver whose normal is zero has no such layer. Directions are computed from eye - position in
+    the dtype of the wider: in float32 they err by about 6e-8 (|eye| + |position|) / distance, so scenes far from the
+    origin want positions and eye in float64; nothing but the subtraction is then done in it.
     """
 
-    learnable = ("specular",)
+    learnable: ClassVar[tuple[str, ...]] = ("specular",)
     specular: Tensor
     points: Tensor
     frames: Tensor
@@ -72,6 +73,11 @@ class EyeLayerModule(LayerModule):
             # The transpose turns back into the rest pose.
             toward = (turn * toward.unsqueeze(1)).sum(0)
         return self.exit_values(local_views(toward, self.frames))
+
+    def taken(self: M, index: Tensor, signal: SignalModule) -> M:
+        assert isinstance(self, EyeLayerModule)
+        made = LayerModule.taken(self, index, signal)
+        return made.changed(frames=self.frames[..., index], points=self.points[..., index])
 
     def posed(self: M, frames: Tensor | None, positions: Tensor | None) -> M:
         assert isinstance(self, EyeLayerModule)
@@ -118,8 +124,8 @@ class ExitLayer(EyeLayerModule):
 class FactoredLayer(EyeLayerModule):
     """Exit radiance in the factors of a BRDF, read from their table.
 
-    `views`, one of the choices of `shader`: called with local unit directions `[*B, G, 3]` instead of reading the table,
-    to give `[*B, G, M]`. `learn` may name "factors", "specular" and what the signal has.
+    `views`, one of the choices of `shader`: called with local unit directions `[*B, G, 3]` instead of reading the
+    table, to give `[*B, G, M]`. `learn` may name "factors", "specular" and what the signal has.
     Source: Sloan, Luna and Snyder 2005, section 5.
     """
 

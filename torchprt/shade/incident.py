@@ -13,8 +13,8 @@ from torchprt.brdf import Brdf, exit_chain
 from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
 from torchprt.shade.eye_layer import EyeLayerModule
-from torchprt.shade.layer import Chosen, layer_module
-from torchprt.shade.signal import hold
+from torchprt.shade.layer import Chosen, M, layer_module
+from torchprt.shade.signal import SignalModule, hold
 from torchprt.transfer import Exit, Incident, Layer, Receivers, Transfer
 
 _EXPONENT = 40.0
@@ -32,8 +32,8 @@ class IncidentLayer(EyeLayerModule):
     - `brdf`: `brdf.exit_chain` is applied instead, with `output_order` (of the transfer if omitted) and `projection`:
       the same as the exit matrices of `with_material`, which spares the product at run time.
 
-    Both err by what the transferred incident radiance lacks above its order. `learn` may name "exponent", "specular" and
-    what the signal has.
+    Both err by what the transferred incident radiance lacks above its order. `learn` may name "exponent", "specular"
+    and what the signal has.
     Raises InputError if both are given or the exponent is negative, not finite or of another shape.
     Source: Sloan, Kautz and Snyder 2002, section 4.2, equations 6 and 9; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
@@ -73,6 +73,13 @@ class IncidentLayer(EyeLayerModule):
             raise InputError("learn names 'exponent', but brdf is given: there is no lobe to learn")
         chain = exit_chain(brdf, self.output_order, self.incident_order, self.projection)
         self.register_buffer("chain", chain.to(device, dtype))
+
+    def taken(self: M, index: Tensor, signal: SignalModule) -> M:
+        assert isinstance(self, IncidentLayer)
+        made = EyeLayerModule.taken(self, index, signal)
+        if hasattr(self, "exponent") and self.exponent.numel() > 1:
+            return made.changed(exponent=self.exponent[index])
+        return made
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """What the SH coefficients of transferred incident radiance are weighted with, for these views."""

@@ -25,10 +25,10 @@ class LayerModule(nn.Module, abc.ABC):
     """A layer of G receivers: `weight * sum_i values_i sum_j M_ij light_j`.
 
     A subclass is made from its stored layer as `(layer, receivers, dtype, learn, choices)`, and says in `values` which
-    functions of the eye there are. `choices` are keyword arguments of `shader`, those that the class or the class of its
-    signal names. It is registered for the stored layer with `layer_module.register`.
-    Buffers, or parameters if named in `learn`: the weight, under its name, and those of `signal`. `receivers [G]`: which
-    of all receivers it is about, None for all.
+    functions of the eye there are. `choices` are keyword arguments of `shader`, those that the class or the class of
+    its signal names. It is registered for the stored layer with `layer_module.register`.
+    Buffers, or parameters if named in `learn`: the weight, under its name, and those of `signal`. `receivers [G]`:
+    which of all receivers it is about, None for all.
     """
 
     learnable: ClassVar[tuple[str, ...]] = ()
@@ -117,12 +117,17 @@ class LayerModule(nn.Module, abc.ABC):
         """The layer in one pose, its transfer stored; `frames` of its own receivers, `positions` of all."""
         return self.changed(signal=DenseSignal.holding(self.toward(None, frames).contiguous()))
 
+    def taken(self: M, index: Tensor, signal: SignalModule) -> M:
+        """About those of its receivers that `index` names, one perhaps more than once, whose transfer is `signal`."""
+        weight = self.weight[index] if len(self.weight) > 1 else self.weight
+        receivers = index if self.receivers is None else self.receivers[index]
+        return self.changed(signal=signal, receivers=receivers, **{self.weight_name: weight})
+
     def changed(self: M, **parts: Tensor | nn.Module | None) -> M:
         """The same with other buffers or submodules; all others are shared."""
         made = copy.copy(self)
-        made._buffers, made._modules, made._parameters = (
-            dict(held) for held in (self._buffers, self._modules, self._parameters)
-        )
+        made._buffers, made._modules = dict(self._buffers), dict(self._modules)
+        made._parameters = dict(self._parameters)
         for name, part in parts.items():
             made._parameters.pop(name, None)
             if isinstance(part, nn.Module):

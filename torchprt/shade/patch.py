@@ -24,8 +24,8 @@ def lay(
     normals: Float[Tensor, "V 3"] | None = None,
     frames: Float[Tensor, "frames 3 3"] | None = None,
 ) -> Transfer:
-    """A surface covered with a patch (`Texels` with a diffuse layer of zonal lobes), as transfer that is shaded in every
-    pose.
+    """A surface covered with a patch (`Texels` with a diffuse layer of zonal lobes), as transfer that is shaded in
+    every pose.
 
     `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2] (`scene.Mesh.uv`); a
     vertex of several charts takes the first. They are multiplied by `repeat` (of u, of v): so many patches lie side by

@@ -26,10 +26,10 @@ class Shader(nn.Module):
     omitted: the rest pose). `layers`: a `LayerModule` each by name, whose buffers, or parameters if they are to be
     learned, hold the transfer.
 
-    Laws: linear in `light`; turning the light and asking for `rotation` are the same; light, eye and pose turned together
-    change nothing; channels do not mix.
-    Source: Sloan, Kautz and Snyder 2002, section 6; Sloan, Hall, Hart and Snyder 2003, sections 3 and 6; Sloan, Luna and
-    Snyder 2005, sections 4 and 5.
+    Laws: linear in `light`; turning the light and asking for `rotation` are the same; light, eye and pose turned
+    together change nothing; channels do not mix.
+    Source: Sloan, Kautz and Snyder 2002, section 6; Sloan, Hall, Hart and Snyder 2003, sections 3 and 6; Sloan, Luna
+    and Snyder 2005, sections 4 and 5.
     """
 
     def __init__(
@@ -68,15 +68,16 @@ class Shader(nn.Module):
         are estimated (`DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
         from `positions`, so an eye with frames needs both.
 
-        All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they are
-        then applied to the transfer once, and every further light costs what a diffuse one does. Every other eye or pose
-        takes C N V numbers of memory on the way. The result is a view with vertices contiguous, not a permuted copy.
-        `out`: a former result to write over, for loops that must not allocate; of one layer that is stored whole, and
-        without gradients.
+        All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they
+        are then applied to the transfer once, and every further light costs what a diffuse one does. Every other eye or
+        pose takes C N V numbers of memory on the way. The result is a view with vertices contiguous, not a permuted
+        copy. `out`: a former result to write over, for loops that must not allocate; of one layer that is stored whole,
+        and without gradients.
 
         Raises InputError if the light is not of the order of the transfer, what it needs is not given or what it does
         not need is, shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or
-        frames are not proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
+        frames are not proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not
+        finite.
         """
         self._check(eye, view, frames, positions)
         light = turned_light(light, rotation, self.turn)
@@ -210,8 +211,8 @@ def shader(
     """The `nn.Module` that shades `transfer`.
 
     `dtype`: of its buffers (float32, or wider if the transfer is); `learn`: names of buffers that become parameters, as
-    "albedo", "specular" or "values", of every layer that has them, or "exit.values" for that of one. With bounces albedo
-    and specular were also baked into what other surfaces receive, so learning them is refused.
+    "albedo", "specular" or "values", of every layer that has them, or "exit.values" for that of one. With bounces
+    albedo and specular were also baked into what other surfaces receive, so learning them is refused.
 
     `choices`: what layers and signals leave open. For incident transfer the reflectance, `exponent` of a Phong lobe (40
     if neither is given) or `brdf`; for zonal lobes the `method`, "direct" or "table". None counts as not given.
@@ -219,7 +220,7 @@ def shader(
     """
     given = {name: value for name, value in choices.items() if value is not None}
     classes = {
-        name: (layer_module.dispatch(type(layer)), signal_module.dispatch(type(layer.signal)))  # type: ignore[attr-defined]
+        name: (layer_module.dispatch(type(layer)), signal_module.dispatch(type(layer.signal)))
         for name, layer in transfer.layers.items()
     }
     open_ = {choice for pair in classes.values() for each in pair for choice in getattr(each, "choices", ())}

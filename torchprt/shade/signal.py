@@ -38,7 +38,7 @@ class SignalModule(nn.Module, abc.ABC):
     def toward(
         self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None = None
     ) -> Float[Tensor, "C N ..."]:
-        """Transfer vectors `sum_i values_i M_ij`, `[C, N, *B, G]`, in a pose; without `values` those that are stored."""
+        """Transfer vectors `sum_i values_i M_ij`, `[C, N, *B, G]`, in a pose; without `values` those stored."""
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         """`sum_j M_ij light_j`, at rest."""

@@ -56,9 +56,13 @@ class VisibilityLayer(EyeLayerModule):
 
     def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         assert values is not None
+        return self.vectors(values).movedim(-2, 0).unsqueeze(0)
+
+    def vectors(self, values: Float[Tensor, "*B G M"]) -> Float[Tensor, "*B N G"]:
+        """Transfer vectors toward eyes, the eyes first."""
         local = ((values @ self.kernel) * self._seen()) @ self.harmonics
         world = self._turned(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
-        return world.movedim((-1, -2), (0, 1))
+        return world.squeeze(-1).mT
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))

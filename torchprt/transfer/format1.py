@@ -12,7 +12,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.transfer.clustered import Clustered
 from torchprt.transfer.dense import Dense
-from torchprt.transfer.layer import Diffuse, Layer
+from torchprt.transfer.layer import Diffuse, EyeLayer, Layer
 from torchprt.transfer.layers import Exit, Factored, Incident, Visibility
 from torchprt.transfer.receivers import Texels, Vertices
 from torchprt.transfer.signal import Signal
@@ -21,7 +21,7 @@ from torchprt.transfer.zonal import Zonal
 
 _CLUSTERS = ("label", "weights", "mean", "basis", "offsets", "low", "step", "squared_error")
 # Kind of layer: its class, the tensor that was its dense signal, other tensors, other metadata.
-_EYE: dict[str, tuple[type[Layer], str, tuple[str, ...], tuple[str, ...]]] = {
+_EYE: dict[str, tuple[type[EyeLayer], str, tuple[str, ...], tuple[str, ...]]] = {
     "glossy": (Exit, "matrix", (), ("output_order", "projection", "exit_error")),
     "factored": (Factored, "matrix", ("factors",), ("factor_error",)),
     "incident": (Incident, "matrix", (), ()),
@@ -100,8 +100,8 @@ def _diffuse_below(stored: str, tensor: Callable[[str], Tensor], entry: Callable
     if stored == "zonal":
         parts = {name: tensor(f"diffuse_{name}") for name in ("axis", "coefficients", "exact")}
         count = parts["axis"].shape[-1]
-        error = torch.zeros(count, dtype=parts["axis"].dtype)
-        return Zonal(**_with_row(**parts), squared_error=error, smooth=entry("smooth")) if count else None
+        parts = _with_row(**parts) | {"squared_error": torch.zeros(count, dtype=parts["axis"].dtype)}
+        return Zonal(**parts, smooth=entry("smooth"), fit_error=None) if count else None
     vectors = tensor("diffuse")
     return Dense(values=vectors) if vectors.shape[2] else None
 

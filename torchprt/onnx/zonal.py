@@ -1,60 +1,50 @@
-"""The modules that are traced into ONNX for surfaces that deform: their pose is an input."""
+"""Signals in zonal lobes in a graph: their pose is an input."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
-from torchprt.onnx.graph import Source, fold, make_graph
-from torchprt.shade import DeformableShader, DeformedFrames
-from torchprt.transfer import DiffuseTransfer, ZonalFactoredTransfer, ZonalTransfer
-
-Pose = Literal["frames", "positions"]
+from torchprt.onnx.signal import SignalGraph, fold, signal_graph
+from torchprt.shade import ZonalSignal
 
 
-class DeformableGraph(nn.Module):
-    """`light [B, N, 3]` or environment, `rotation [B, 3, 3]`, and a pose to `radiance [B, V, 3]`, all float32.
+@signal_graph.register(ZonalSignal)
+class ZonalGraph(SignalGraph):
+    """What each row sends under a light is made once for a pose, and every eye weighs the rows.
 
-    The pose is `frames [V, 3, 3]`, or `positions [V, 3]` from which the graph estimates them. It has no batch: the
-    transfer vectors of a pose are made once for all lights, and poses share nothing that a batch would save.
+    The pose has no batch: the transfer vectors of a pose are made once for all lights, and poses share nothing that a
+    batch would save. The weight is folded into the coefficients of a single row wherever that stores nothing more.
     """
 
-    albedo: Tensor | None
+    weight: Tensor | None
 
-    def __init__(
-        self, shader: DeformableShader, transfer: ZonalTransfer, source: Source, size: int, pose: Pose
-    ) -> None:
-        super().__init__()
-        self.source = make_graph(without_vertices(transfer), source, size)
-        self.pose = PoseGraph(shader.estimate if pose == "positions" else None)
-        channels, lobes, bands, vertices = shader.coefficients.shape
-        apart = shader.exact.shape[1]
-        weights = torch.cat([shader.exact, shader.coefficients.reshape(channels, lobes * bands, vertices)], 1)
-        weights, albedo = fold(weights, shader.albedo)
-        exact, coefficients = weights.split([apart, lobes * bands], 1)
-        self.lobes = LobeGraph(shader.axis, coefficients.reshape(channels, lobes, bands, vertices), exact)
-        self.register_buffer("albedo", albedo)
-        self.vertices = vertices
+    def __init__(self, signal: ZonalSignal, weight: Tensor) -> None:
+        nn.Module.__init__(self)
+        _, rows, lobes, bands, _ = signal.coefficients.shape
+        apart = signal.exact.shape[2]
+        weights = torch.cat([signal.exact, signal.coefficients.flatten(2, 3)], 2)
+        left: Tensor | None = weight.detach().T.float().contiguous()
+        if rows == 1:
+            folded, left = fold(weights[:, 0], weight)
+            weights = folded.unsqueeze(1)
+        exact, coefficients = weights.split([apart, lobes * bands], 2)
+        coefficients = coefficients.unflatten(2, (lobes, bands))
+        parts = zip(signal.axis, coefficients.unbind(1), exact.unbind(1), strict=True)
+        self.rows = nn.ModuleList(LobeGraph(*part) for part in parts)
+        self.register_buffer("weight", left)
 
-    def forward(self, light: Tensor, rotation: Tensor, pose: Tensor) -> Tensor:
-        light = self.source.receive(light, rotation)
-        radiance = self.lobes(light, self.pose(pose))
-        return (radiance if self.albedo is None else radiance * self.albedo).mT
-
-
-class PoseGraph(nn.Module):
-    """`frames [V, 3, 3]`, or `positions [V, 3]` of a mesh, to frames `[3, 3, V]`."""
-
-    def __init__(self, estimate: DeformedFrames | None) -> None:
-        super().__init__()
-        self.estimate = estimate
-
-    def forward(self, pose: Tensor) -> Tensor:
-        frames = pose if self.estimate is None else self.estimate(pose)
-        return frames.permute(1, 2, 0)
+    def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
+        assert frames is not None
+        sent = [row(light, frames) for row in self.rows]
+        if values is not None:
+            sent = [row * value for row, value in zip(sent, values.split(1, 1), strict=True)]
+        radiance = sent[0]
+        for more in sent[1:]:
+            radiance = radiance + more
+        return self.weighed(radiance)
 
 
 class LobeGraph(nn.Module):
@@ -139,15 +129,3 @@ def leading(l: int, m: int) -> float:
     for k in range(m + 1, l + 1):
         value *= math.sqrt((4 * k * k - 1) / (k * k - m * m))
     return value
-
-
-def without_vertices(transfer: ZonalTransfer | ZonalFactoredTransfer) -> DiffuseTransfer:
-    """What tells `make_graph` of the order alone."""
-    empty = transfer.positions.new_zeros(0, 3)
-    return DiffuseTransfer(
-        transfer=transfer.coefficients.new_zeros(1, transfer.order**2, 0),
-        albedo=empty.new_ones(1, 1),
-        positions=empty,
-        normals=empty,
-        faces=transfer.faces[:0],
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -11,23 +11,22 @@ from torch import Tensor
 FAR = 1e4
 
 
-@runtime_checkable
-class Receivers(Protocol):
-    """Glossy receivers `[G]`, as a `ViewShader` holds them: `points [3, G]`, local frames `[3, 3, G]`."""
+@dataclass(frozen=True)
+class Seen:
+    """The receivers of a layer that depends on the eye, in a pose: `points [3, G]`, local frames `[3, 3, G]`."""
 
     points: Tensor
     frames: Tensor
-    glossy: Tensor
 
 
-def random_eyes(shader: Receivers, name: str, count: int, generator: torch.Generator) -> Tensor:
+def random_eyes(seen: Seen, name: str, count: int, generator: torch.Generator) -> Tensor:
     """Float32 eyes `[count, 3]` for the input "eye" or "view", of every kind in turn.
 
     Points: two sizes of the model away, near a glossy receiver (a hundredth of the size), far, in the middle, at a
     receiver, and behind one, under its tangent plane. Directions: random ones of length 1, 1e-6, 1e6, along the normal
     of a receiver and against it, and one that grazes it.
     """
-    places, (tangents, _, normals) = shader.points.T, shader.frames.permute(0, 2, 1)
+    places, (tangents, _, normals) = seen.points.T, seen.frames.permute(0, 2, 1)
     random = torch.randn(count, 3, generator=generator, dtype=torch.float64)
     random = random / random.norm(dim=-1, keepdim=True)
     if not len(places):
@@ -51,15 +50,18 @@ def random_eyes(shader: Receivers, name: str, count: int, generator: torch.Gener
     return torch.stack([kinds[index % len(kinds)][index] for index in range(count)]).float()
 
 
-def conditions(shader: Receivers, eye: Tensor | None, view: Tensor | None) -> Tensor:
+def conditions(seen: Seen, eye: Tensor | None, view: Tensor | None) -> Tensor:
     """For each glossy receiver `[G]`, the sine of the angle from straight below to the eye; 1 above the horizon.
 
     `eye [3]` or `view [3]`, float64. Below, rounding of the direction by one unit turns what is seen by one over it.
     """
-    assert eye is not None or view is not None
-    toward = eye - shader.points.T if eye is not None else view.expand(len(shader.glossy), 3)  # type: ignore[union-attr]
+    if eye is None:
+        assert view is not None
+        toward = view.expand(seen.points.shape[1], 3)
+    else:
+        toward = eye - seen.points.T
     largest = toward.abs().amax(-1, keepdim=True)
     toward = toward / torch.where(largest > 0, largest, math.inf)
-    x, y, z = (shader.frames.permute(2, 0, 1) @ toward.unsqueeze(-1)).squeeze(-1).unbind(-1)
+    x, y, z = (seen.frames.permute(2, 0, 1) @ toward.unsqueeze(-1)).squeeze(-1).unbind(-1)
     across, length = torch.hypot(x, y), toward.norm(dim=-1)
     return torch.where(z < 0, across / torch.where(length > 0, length, 1.0), 1.0)

@@ -3,47 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torchprt.onnx.eyes import Receivers
+from torchprt.onnx.hard_eyes import Seen
 from torchprt.sh import yaw_pitch_roll
-from torchprt.shade import DeformableFactoredShader, DeformableShader, ViewShader
+from torchprt.shade import EyeLayerModule, FixedLightShader, Shader
 
 
-@dataclass
-class Posed:
-    """`Receivers` in a pose."""
-
-    points: Tensor
-    frames: Tensor
-    glossy: Tensor
-
-
-def receivers(shader: ViewShader | DeformableFactoredShader, pose: Mapping[str, Tensor]) -> Receivers:
-    """The glossy receivers of a shader, where "positions" or "frames" in `pose` have put them."""
-    if isinstance(shader, ViewShader):
-        return shader
-    points, local, rows = shader.points, shader.local, shader.glossy
-    frames = pose.get("frames")
-    if "positions" in pose:
-        points = pose["positions"].double()[rows].T
-        frames = shader.estimate(pose["positions"].double())
-    if frames is not None:
-        turn = frames.double()[rows]
-        local = torch.einsum("gij,kjg->kig", turn, local.double())
-    return Posed(points, local, rows)
+def receivers(shader: Shader | FixedLightShader, layer: EyeLayerModule, pose: Mapping[str, Tensor]) -> Seen:
+    """The receivers of a layer of a shader, where "positions" or "frames" in `pose` have put them."""
+    points, local = layer.points, layer.frames
+    given = {name: pose[name].double() for name in ("frames", "positions") if name in pose}
+    if given and isinstance(shader, Shader):
+        turned = shader.pose(given.get("frames"), given.get("positions"))
+        assert turned is not None
+        local = torch.einsum("gij,kjg->kig", layer.among(turned, 0), local.double())
+        if "positions" in given:
+            points = layer.among(given["positions"], 0).T
+    return Seen(points, local)
 
 
-def random_poses(shader: DeformableShader | DeformableFactoredShader, name: str, seed: int) -> list[dict[str, Tensor]]:
+def random_poses(shader: Shader, name: str, seed: int) -> list[dict[str, Tensor]]:
     """Three poses in float32 for the input "frames" or "positions".
 
     Frames: the identity, half turns about all axes in turn, and a random rotation for every vertex. Positions: the
     rest pose, and the mesh twisted, stretched by different factors and moved by its size, once turned around.
     """
     generator = torch.Generator().manual_seed(seed)
+    assert shader.estimate is not None
     count = shader.estimate.vertices
     identity = torch.eye(3).expand(count, 3, 3).contiguous()
     if name == "frames":
