@@ -82,8 +82,11 @@ class BlockGraph(SignalGraph):
 
         def product(signal: Tensor) -> Tensor:
             total, channels, rows, count = signal.shape
-            if channels * rows == 1:
+            if rows == 1 and channels == 1:
                 return signal[:, 0, 0] @ light.mT.reshape(-1, count).mT
+            if rows == 1:
+                sent = signal[:, :, 0].transpose(0, 1) @ light.permute(2, 1, 0)
+                return sent.permute(1, 2, 0).reshape(total, -1)
             flat = signal.transpose(0, 1).reshape(channels, total * rows, count).mT
             if channels == 1:
                 found = (light.mT.reshape(-1, count) @ flat[0]).reshape(-1, total, rows)

@@ -62,7 +62,7 @@ class VisibilityLayer(EyeLayerModule):
         """Transfer vectors toward eyes, the eyes first."""
         local = ((values @ self.kernel) * self._seen()) @ self.harmonics
         world = self._turned(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
-        return world.squeeze(-1).mT
+        return world.movedim(-1, 0).mT[0]
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
