@@ -11,7 +11,7 @@ import torch
 from jaxtyping import config, install_import_hook
 
 if TYPE_CHECKING:
-    from torchprt.transfer import DiffuseTransfer
+    from torchprt.transfer import Transfer
 
 if os.environ.get("TORCHPRT_TYPECHECK", "1") != "0":
     install_import_hook("torchprt", "beartype.beartype")
@@ -52,11 +52,11 @@ def untyped() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def make_transfer() -> "Callable[..., DiffuseTransfer]":
+def make_transfer() -> "Callable[..., Transfer]":
     """Builds random diffuse transfer on a square grid in the plane y = 0: there is no bake in it.
 
     `albedo` is the shape of the albedo, whose letter V stands for the number of vertices. Other keywords go to
-    `DiffuseTransfer`.
+    `Transfer`.
     """
 
     def make(
@@ -67,8 +67,8 @@ def make_transfer() -> "Callable[..., DiffuseTransfer]":
         dtype: torch.dtype = torch.float32,
         seed: int = 0,
         **metadata: Any,
-    ) -> "DiffuseTransfer":
-        from torchprt.transfer import DiffuseTransfer
+    ) -> "Transfer":
+        from torchprt.transfer import diffuse_transfer
 
         generator = torch.Generator().manual_seed(seed)
         vertices = side * side
@@ -81,8 +81,8 @@ def make_transfer() -> "Callable[..., DiffuseTransfer]":
         x, z = torch.meshgrid(ticks, ticks, indexing="ij")
         corner = (torch.arange(max(side - 1, 0))[:, None] * side + torch.arange(max(side - 1, 0))).reshape(-1)
         quads = torch.stack([corner, corner + 1, corner + side + 1, corner + side], -1)
-        return DiffuseTransfer(
-            transfer=vectors.to(dtype),
+        return diffuse_transfer(
+            vectors=vectors.to(dtype),
             albedo=0.1 + 0.8 * torch.rand(rows, albedo[1], generator=generator, dtype=wide),
             positions=torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3),
             normals=torch.tensor([0.0, 1.0, 0.0], dtype=wide).repeat(vertices, 1),
