@@ -2,6 +2,7 @@
 
 import torch
 from shapes import disc, square
+from transfers import gloss, stored
 
 from torchprt import sh
 from torchprt.scene import Material, Object, Scene, make_mesh
@@ -32,13 +33,14 @@ def floor_and_wall(material, resolution=9, blocker=True):
 
 
 def frames_of(transfer):
-    return tangent_frames(transfer.normals[transfer.glossy.long()].double(), transfer.tangents.double())
+    layer = gloss(transfer)
+    return tangent_frames(transfer.normals[layer.receivers.long()].double(), layer.tangents.double())
 
 
 def exit_radiance(transfer, views):
     """`[C, G, views, N]` in double precision: what goes toward local directions, for every light coefficient."""
-    functions = sh.exit_functions(views, transfer.output_order, transfer.projection)
-    return functions @ transfer.matrix.double()
+    functions = sh.exit_functions(views, gloss(transfer).output_order, gloss(transfer).projection)
+    return functions @ stored(transfer).double()
 
 
 def views(count=40):

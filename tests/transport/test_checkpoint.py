@@ -5,6 +5,7 @@ import pickle
 
 import pytest
 import torch
+from transfers import stored
 
 from torchprt.errors import InputError
 from torchprt.scene import Points, load, samples
@@ -43,8 +44,8 @@ def scene():
 @pytest.mark.parametrize("options", [{}, {"bounces": 2}, {"bounces": math.inf, "order": 3}])
 def test_any_number_of_threads_gives_the_same_bits(scene, options):
     one, two, five = (bake(scene, rays=48, threads=count, progress=False, **options) for count in (1, 2, 5))
-    assert torch.equal(one.transfer, two.transfer)
-    assert torch.equal(one.transfer, five.transfer)
+    assert torch.equal(stored(one), stored(two))
+    assert torch.equal(stored(one), stored(five))
     assert one.error == two.error == five.error
 
 
@@ -57,7 +58,7 @@ def test_a_stopped_bake_goes_on_where_it_was_to_the_same_bits(scene, tmp_path, o
         bake(scene, rays=48, checkpoint=folder, threads=threads, progress=Stops(after=3), **options)
     counter = Stops()
     resumed = bake(scene, rays=48, checkpoint=folder, threads=threads, progress=counter, **options)
-    assert torch.equal(resumed.transfer, whole.transfer)
+    assert torch.equal(stored(resumed), stored(whole))
     assert resumed.error == whole.error
     # Three chunks were handed over; those that were running then are kept as well.
     assert counter.done_before >= 3 * 512 * 48
@@ -72,7 +73,7 @@ def test_bounces_to_points_go_on_too(scene, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         bake(scene, rays=16, bounces=2, receivers=points, checkpoint=tmp_path / "kept", progress=Stops(after=9))
     resumed = bake(scene, rays=16, bounces=2, receivers=points, checkpoint=tmp_path / "kept", progress=False)
-    assert torch.equal(resumed.transfer, whole.transfer)
+    assert torch.equal(stored(resumed), stored(whole))
 
 
 def test_a_chunk_that_a_crash_left_half_written_is_traced_again(scene, tmp_path):
@@ -83,7 +84,7 @@ def test_a_chunk_that_a_crash_left_half_written_is_traced_again(scene, tmp_path)
     chunk = min(folder.glob("chunk-*"))
     chunk.write_bytes(chunk.read_bytes()[:100])
     (folder / ".chunk-0000001.abc.safetensors").write_bytes(b"torn")
-    assert torch.equal(bake(scene, rays=16, checkpoint=folder, progress=False).transfer, whole.transfer)
+    assert torch.equal(stored(bake(scene, rays=16, checkpoint=folder, progress=False)), stored(whole))
 
 
 @pytest.mark.parametrize("change", [{"rays": 17}, {"order": 4}, {"seed": 1}, {"bounces": 1}])
@@ -94,7 +95,7 @@ def test_chunks_of_another_bake_are_not_used_and_that_is_said(scene, tmp_path, c
     options = {"rays": 16, **change}
     with pytest.warns(CheckpointWarning, match="from the beginning"):
         other = bake(scene, checkpoint=folder, progress=False, **options)
-    assert torch.equal(other.transfer, bake(scene, progress=False, **options).transfer)
+    assert torch.equal(stored(other), stored(bake(scene, progress=False, **options)))
 
 
 def test_albedo_and_number_of_bounces_may_change_between_a_stop_and_its_resumption(scene, tmp_path):
@@ -103,7 +104,7 @@ def test_albedo_and_number_of_bounces_may_change_between_a_stop_and_its_resumpti
     with pytest.raises(KeyboardInterrupt):
         bake(load(mesh, albedo=0.9), rays=16, bounces=1, checkpoint=folder, progress=Stops(after=2))
     resumed = bake(load(mesh, albedo=0.2), rays=16, bounces=3, checkpoint=folder, progress=False)
-    assert torch.equal(resumed.transfer, bake(load(mesh, albedo=0.2), rays=16, bounces=3, progress=False).transfer)
+    assert torch.equal(stored(resumed), stored(bake(load(mesh, albedo=0.2), rays=16, bounces=3, progress=False)))
 
 
 def test_refuses_a_folder_that_holds_other_files(scene, tmp_path):
@@ -136,7 +137,7 @@ def test_a_chunk_is_a_pure_function_that_another_process_could_run(scene):
     arguments = pickle.loads(pickle.dumps((tracer, receivers, directions, projection(directions, 3))))
     assert torch.equal(shadowed(*arguments), here)
     # A product of other sizes rounds otherwise: 32 additions.
-    whole = bake(scene, rays=32, order=3, progress=False).transfer[0]
+    whole = stored(bake(scene, rays=32, order=3, progress=False))[0]
     torch.testing.assert_close(here, whole[:, :100], atol=32 * torch.finfo(torch.float32).eps, rtol=0)
 
 
@@ -151,7 +152,7 @@ def test_a_checkpoint_is_kept_until_the_result_is_safe_if_that_is_asked(scene, t
     first = bake(scene, rays=8, checkpoint=folder, keep=True, progress=False)
     counter = Stops()
     again = bake(scene, rays=8, checkpoint=folder, progress=counter)
-    assert torch.equal(first.transfer, again.transfer)
+    assert torch.equal(stored(first), stored(again))
     assert counter.traced == 0
     assert not folder.exists()
 

@@ -4,10 +4,9 @@ Relative RMS over 150 receivers, 150 directions that are uniform on the hemisphe
 nowhere negative. `scripts/bench glossy` prints the whole table.
 """
 
-import dataclasses
-
 import pytest
 import torch
+from transfers import replaced, stored
 
 from torchprt import brdf
 from torchprt.measure import (
@@ -41,12 +40,12 @@ class Sample:
     def bake(self, rays, seeds=1, **options):
         """Several bakes of sets of directions that are turned against each other stand for one of as many rays."""
         transfers = [bake(self.scene, rays=rays, seed=seed, progress=False, **options) for seed in range(seeds)]
-        mean = sum(each.matrix for each in transfers) / seeds
-        return dataclasses.replace(transfers[0], matrix=mean)
+        mean = sum(stored(each) for each in transfers) / seeds
+        return replaced(transfers[0], values=mean)
 
     def error(self, transfer, order):
         # The first bands of the exit functions are those of a lower order.
-        part = dataclasses.replace(transfer, matrix=transfer.matrix[:, :, : order**2], output_order=order)
+        part = replaced(transfer, values=stored(transfer)[:, :, : order**2], output_order=order)
         return relative_rms(
             exit_radiance(shader(sample_transfer(part, self.chosen)), self.views, self.lights), self.exact
         )
@@ -91,13 +90,13 @@ def test_sixteen_rows_of_the_optimal_projection_beat_twenty_five_without(sample_
     sample = sample_of(gloss)
     incident, model = bake(sample.scene, frame="incident", progress=False), brdf.parse(gloss)
     few, many = with_material(incident, model, 4, "optimal"), with_material(incident, model, 5, "zero")
-    assert (few.matrix.shape[2], many.matrix.shape[2]) == (16, 25)
+    assert (stored(few).shape[2], stored(many).shape[2]) == (16, 25)
     assert sample.error(few, 4) < sample.error(many, 5)
 
 
 def test_a_bake_of_a_lower_order_is_the_first_rows_of_a_higher_one(sample_of):
     sample = sample_of("ggx:0.5")
-    high, low = (sample.bake(256, output_order=order).matrix for order in (6, 4))
+    high, low = (stored(sample.bake(256, output_order=order)) for order in (6, 4))
     # Float32 sums of 256.
     torch.testing.assert_close(
         high[:, :, :16], low, rtol=0, atol=256 * torch.finfo(torch.float32).eps * float(low.abs().max())

@@ -3,6 +3,7 @@
 import torch
 from glossy_scenes import quiet
 from shapes import square
+from transfers import stored
 
 from torchprt import brdf, sh
 from torchprt.scene import Material, Object, Scene, load
@@ -18,10 +19,8 @@ def test_membranes_let_the_light_behind_them_through():
     vectors = sh.zonal(brdf.membrane(0.3, 5), normals).T
     assert transfer.vertices == 32
     # Nothing blocks either side: the sum of two closed forms.
-    torch.testing.assert_close(transfer.transfer[0].double(), vectors, atol=512 * EPS, rtol=0)
-    torch.testing.assert_close(
-        quiet(scene, order=5, shadows=False).transfer[0].double(), vectors, atol=16 * EPS, rtol=0
-    )
+    torch.testing.assert_close(stored(transfer)[0].double(), vectors, atol=512 * EPS, rtol=0)
+    torch.testing.assert_close(stored(quiet(scene, order=5, shadows=False))[0].double(), vectors, atol=16 * EPS, rtol=0)
     assert float((vectors - unshadowed(normals, 5)).abs().max()) > 0.05
 
 
@@ -36,6 +35,6 @@ def test_light_bounces_through_membranes():
         ]
         transfer = quiet(Scene(objects), order=3, rays=512, bounces=4)
         above = sh.zonal(sh.phong(2.0, 3), torch.tensor([[0.0, 1, 0]], dtype=torch.float64))[0].float()
-        return float((above @ transfer.transfer[0])[:9].mean())
+        return float((above @ stored(transfer)[0])[:9].mean())
 
     assert reading(0.6) > 3 * abs(reading(0.0))

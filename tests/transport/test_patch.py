@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from transfers import gloss, stored
 
 from torchprt import light
 from torchprt.errors import InputError
@@ -45,7 +46,7 @@ def test_a_flat_patch_is_lit_as_a_plane():
     assert baked.vertices == 15
     plane = unshadowed(torch.tensor([[0.0, 0.0, 1.0]]), 5)
     # Nothing blocks, so the bake gives the closed form to the rounding of a sum over 64 rays.
-    assert (baked.transfer[0] - plane).abs().max() <= 64 * EPS
+    assert (stored(baked)[0] - plane).abs().max() <= 64 * EPS
     assert baked.positions[:, 0].view(3, 5)[0].tolist() == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9])
     assert baked.positions[:, 1].view(3, 5)[:, 0].tolist() == pytest.approx([1 / 6, 0.5, 5 / 6])
 
@@ -55,8 +56,8 @@ def test_a_patch_shifted_by_half_is_its_map_shifted_by_half(patch):
     mesh = patch(24)
     heights = mesh.positions[:, 2].view(25, 25)[:24, :24]
     moved = height_field(heights.roll((12, 6), (0, 1)))
-    one = patch_transfer(mesh, size=12, rays=256).transfer.view(36, 12, 12).roll((6, 3), (1, 2))
-    other = patch_transfer(moved, size=12, rays=256).transfer.view(36, 12, 12)
+    one = stored(patch_transfer(mesh, size=12, rays=256)).view(36, 12, 12).roll((6, 3), (1, 2))
+    other = stored(patch_transfer(moved, size=12, rays=256)).view(36, 12, 12)
     # The tiles around end at another place; near the horizon that is seen: .4 % at the depth of the bumps, and a ray
     # of 256 that grazes an edge may fall on either side of it.
     assert (one - other).norm() < 0.01 * one.norm()
@@ -64,10 +65,10 @@ def test_a_patch_shifted_by_half_is_its_map_shifted_by_half(patch):
 
 def test_more_copies_around_change_little():
     one, more = (patch_transfer(samples.wrinkles(24), size=8, rays=256, around=count) for count in (1, 2))
-    assert (one.transfer - more.transfer).norm() < 0.004 * more.transfer.norm()
+    assert (stored(one) - stored(more)).norm() < 0.004 * stored(more).norm()
     alone = patch_transfer(samples.wrinkles(24), size=8, rays=256, around=0)
     # Without any the creases at the border are open.
-    assert (alone.transfer - more.transfer).norm() > 0.02 * more.transfer.norm()
+    assert (stored(alone) - stored(more)).norm() > 0.02 * stored(more).norm()
 
 
 def test_texels_record_what_the_vertices_at_their_places_do():
@@ -76,10 +77,10 @@ def test_texels_record_what_the_vertices_at_their_places_do():
     whole = bake(Scene([Object(tiled(mesh, 1), Material(0.5))]), order=4, rays=1024, progress=False)
     # The centre of texel (i, j) is vertex (2 i + 1, 2 j + 1) of 17 x 17.
     vertices = torch.arange(289).view(17, 17)[1::2, 1::2].flatten()
-    wanted = whole.transfer[..., vertices]
+    wanted = stored(whole)[..., vertices]
     assert (texels.positions - whole.positions[vertices]).abs().max() < 1e-6
     # Rays of a vertex start a little farther off, and nothing lies beneath it: what comes from under the horizon.
-    assert (texels.transfer - wanted).norm() < 0.02 * wanted.norm()
+    assert (stored(texels) - wanted).norm() < 0.02 * wanted.norm()
 
 
 def dome(radius=0.3, height=0.15, count=24):
@@ -107,12 +108,12 @@ def test_nothing_comes_from_under_the_horizon():
     wanted = (1 + baked.normals[:, 2]) / 2 * float(unshadowed(torch.tensor([[0.0, 0.0, 1.0]]), 1))
     assert baked.normals[:, 2].min() < 0.8
     # 4096 rays, and facets of the dome that stand out of their tangent planes.
-    assert (baked.transfer[0, 0] / wanted - 1).abs().max() < 0.02
+    assert (stored(baked)[0, 0] / wanted - 1).abs().max() < 0.02
 
 
 def test_texels_beside_the_surface_repeat_the_nearest_on_it():
     baked = patch_transfer(dome(), size=16, order=4, rays=256, tiles=False)
-    picture = baked.transfer[0].view(16, 16, 16)
+    picture = stored(baked)[0].view(16, 16, 16)
     centre = (torch.arange(16) + 0.5) / 16 - 0.5
     inside = (centre[:, None].square() + centre.square()).sqrt() < 0.3
     # Left of the dome in its middle row.
@@ -128,7 +129,7 @@ def test_texels_beside_the_surface_repeat_the_nearest_on_it():
 def test_a_patch_that_does_not_tile_does_not_see_its_copies():
     relief = samples.wrinkles(24)
     tiling, single = (patch_transfer(relief, size=8, rays=256, tiles=each) for each in (True, False))
-    more = single.transfer[0, 0] - tiling.transfer[0, 0]
+    more = stored(single)[0, 0] - stored(tiling)[0, 0]
     assert more.min() > -1e-3
     assert more.max() > 0.01
     assert len(tiling.faces) == 2 * 64
@@ -139,7 +140,7 @@ def test_light_bounces_between_copies():
     direct = patch_transfer(samples.waffle(16), size=8, rays=256, albedo=0.8)
     bounced = patch_transfer(samples.waffle(16), size=8, rays=256, albedo=(0.8, 0.4, 0.1), bounces=2)
     assert bounced.channels == 3
-    more = bounced.transfer[:, 0] - direct.transfer[:, 0]
+    more = stored(bounced)[:, 0] - stored(direct)[:, 0]
     assert (more >= 0).all()
     assert more[0].mean() > more[1].mean() > more[2].mean() > 0
     assert torch.allclose(bounced.albedo, torch.tensor([[0.8, 0.4, 0.1]]))
@@ -148,12 +149,12 @@ def test_light_bounces_between_copies():
 def test_unshadowed_patches_follow_their_normals_alone():
     baked = patch_transfer(samples.bumps(16), size=8, shadows=False, order=5)
     assert baked.transport == "unshadowed"
-    assert (baked.transfer[0] - unshadowed(baked.normals.double(), 5)).abs().max() < 1e-6
+    assert (stored(baked)[0] - unshadowed(baked.normals.double(), 5)).abs().max() < 1e-6
 
 
 def test_the_same_for_any_number_of_threads():
     one, two = (patch_transfer(samples.bumps(8), size=30, rays=64, threads=count) for count in (1, 2))
-    assert torch.equal(one.transfer, two.transfer)
+    assert torch.equal(stored(one), stored(two))
 
 
 @pytest.fixture(scope="module")
@@ -165,14 +166,15 @@ def small():
 def test_a_baked_patch_is_a_map_of_what_was_recorded(small):
     texels, patch = small
     patch.check()
-    assert patch.size == (8, 12)
-    assert (patch.lobes, patch.order, patch.rays, patch.transport) == (4, 4, 256, "shadowed")
-    assert (patch.tiles_u, patch.tiles_v, patch.smooth) == (True, True, False)
-    found = sample(patch, texel_centres(8, 12))
-    vectors = lobe_vectors(found.axis.movedim(1, 0), found.coefficients, found.exact)
-    assert (vectors - texels.transfer).norm() <= 1.001 * patch.fit_error * texels.transfer.norm()
-    assert patch.fit_error < 0.01
-    assert torch.equal(found.albedo, texels.albedo)
+    place, lobes = patch.receivers, gloss(patch).signal
+    assert (place.rows, place.columns) == (8, 12)
+    assert (lobes.lobes, patch.order, patch.rays, patch.transport) == (4, 4, 256, "shadowed")
+    assert (place.tiles_u, place.tiles_v, lobes.smooth) == (True, True, False)
+    found, albedo = sample(patch, texel_centres(8, 12))
+    vectors = lobe_vectors(found.axis[0].movedim(1, 0), found.coefficients[:, 0], found.exact[:, 0])
+    assert (vectors - stored(texels)).norm() <= 1.001 * lobes.fit_error * stored(texels).norm()
+    assert lobes.fit_error < 0.01
+    assert torch.equal(albedo, texels.albedo)
 
 
 def test_a_patch_on_a_plane_of_its_size_is_the_relief_itself(small):
@@ -189,8 +191,8 @@ def test_a_patch_on_a_plane_of_its_size_is_the_relief_itself(small):
 
 def test_a_patch_that_does_not_tile_is_a_map_that_does_not():
     patch = bake_patch(dome(), size=8, rays=64, order=3, lobes=1, tiles=False)
-    assert (patch.tiles_u, patch.tiles_v) == (False, False)
+    assert (patch.receivers.tiles_u, patch.receivers.tiles_v) == (False, False)
 
 
 def test_a_smooth_patch_is_read_smoothly():
-    assert bake_patch(samples.bumps(8), size=6, rays=64, order=3, lobes=2, smooth=True).smooth
+    assert gloss(bake_patch(samples.bumps(8), size=6, rays=64, order=3, lobes=2, smooth=True)).signal.smooth

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from shapes import bowl, disc, square
+from transfers import stored
 
 from torchprt import sh
 from torchprt.errors import InputError
@@ -23,7 +24,7 @@ def quiet(scene, **options):
 
 def constant(transfer):
     """What every receiver of albedo 1 would read under a constant light of radiance 1."""
-    return transfer.transfer[:, 0] * ONE
+    return stored(transfer)[:, 0] * ONE
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def test_refuses_arguments_out_of_range(option, name):
 def test_without_shadows_no_ray_is_traced_and_the_result_is_the_closed_form():
     transfer = quiet(load(square()), shadows=False)
     assert (transfer.transport, transfer.rays, transfer.error) == ("unshadowed", 0, None)
-    assert torch.equal(transfer.transfer[0], unshadowed(transfer.normals.double(), 5))
+    assert torch.equal(stored(transfer)[0], unshadowed(transfer.normals.double(), 5))
 
 
 @pytest.mark.parametrize("order", [1, 2, 5, 12])
@@ -60,7 +61,7 @@ def test_a_convex_body_has_the_unshadowed_transfer(order):
     transfer = quiet(load(make_mesh(ball.vertices, ball.faces)), order=order, rays=300)
     expected = unshadowed(transfer.normals.double(), order)
     # 300 additions in float32 and a rotation.
-    torch.testing.assert_close(transfer.transfer[0], expected, atol=300 * EPS, rtol=0)
+    torch.testing.assert_close(stored(transfer)[0], expected, atol=300 * EPS, rtol=0)
 
 
 def test_a_white_furnace_reads_one_where_nothing_blocks():
@@ -82,7 +83,7 @@ def test_shadowed_coefficients_agree_with_quadrature(order):
     """A disc overhead hides exactly the cap of directions within its angle."""
     radius, height = 0.6, 1.0
     scene = Scene([Object(square(0.1, 3)), Object(disc(radius, height, 1024), Material(0.0), "blocker")])
-    transfer = quiet(scene, order=order, rays=16384).transfer[0, :, 4].double()
+    transfer = stored(quiet(scene, order=order, rays=16384))[0, :, 4].double()
     lowest = 0.0
     edge = height / math.hypot(radius, height)
     # Gauss-Legendre over exactly the visible band of cosines, times a rotation-symmetric rule: exact.
@@ -122,7 +123,7 @@ def test_endless_bouncing_stops_when_it_adds_nothing_and_says_how_often_it_went(
     more = quiet(load(mesh, albedo=0.5), rays=128, bounces=transfer.bounces + 10)
     assert 3 < transfer.bounces < 20
     # What is left out is at most the last bounce and its tail, 1e-4 / (1 - .5).
-    assert (more.transfer - transfer.transfer).norm() < 2e-4 * more.transfer.norm()
+    assert (stored(more) - stored(transfer)).norm() < 2e-4 * stored(more).norm()
 
 
 def test_energy_of_a_bounce_never_exceeds_what_arrived():
@@ -160,7 +161,7 @@ def test_the_reverse_side_is_recorded_behind_the_fronts():
     assert transfer.vertices == 50
     torch.testing.assert_close(transfer.normals[25:], -transfer.normals[:25])
     torch.testing.assert_close(
-        transfer.transfer[0, :, 25:], unshadowed(transfer.normals[25:].double(), 5), atol=64 * EPS, rtol=0
+        stored(transfer)[0, :, 25:], unshadowed(transfer.normals[25:].double(), 5), atol=64 * EPS, rtol=0
     )
 
 
@@ -203,7 +204,7 @@ def test_points_record_what_vertices_at_their_place_do():
         assert at_points.bounces == bounces
         assert at_points.faces.shape == (0, 3)
         # Their rays start a rounding lower: a ray in thousands may end elsewhere.
-        torch.testing.assert_close(at_points.transfer, at_vertices.transfer[:, :, 100:150], atol=2e-3, rtol=0)
+        torch.testing.assert_close(stored(at_points), stored(at_vertices)[:, :, 100:150], atol=2e-3, rtol=0)
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -235,7 +236,7 @@ def test_a_vertex_without_a_normal_has_zero_transfer():
     positions = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 0, -1], [5, 5, 5]], dtype=torch.float64)
     mesh = make_mesh(positions, torch.tensor([[0, 1, 2]]))
     for bounces in (0, 1):
-        transfer = quiet(load(mesh), rays=32, bounces=bounces).transfer
+        transfer = stored(quiet(load(mesh), rays=32, bounces=bounces))
         assert not transfer[..., 3].any()
         assert transfer[..., :3].any()
 
@@ -252,33 +253,33 @@ def test_size_does_not_matter(factor):
     plain = quiet(load(mesh), rays=64, bounces=1)
     scaled = quiet(load(make_mesh(mesh.positions * factor, mesh.faces, mesh.normals)), rays=64, bounces=1)
     # Coordinates round otherwise: a ray in thousands that grazes an edge goes the other way, 1/64 of a coefficient.
-    difference = (plain.transfer - scaled.transfer).square().mean().sqrt()
-    assert difference < 0.01 * plain.transfer.square().mean().sqrt()
+    difference = (stored(plain) - stored(scaled)).square().mean().sqrt()
+    assert difference < 0.01 * stored(plain).square().mean().sqrt()
 
 
 def test_a_power_of_two_of_the_size_gives_the_same_bits():
     mesh = samples.organic(8000).objects[0].mesh
     plain = quiet(load(mesh), rays=32)
     scaled = quiet(load(make_mesh(mesh.positions * 2.0**20, mesh.faces, mesh.normals)), rays=32)
-    assert torch.equal(plain.transfer, scaled.transfer)
+    assert torch.equal(stored(plain), stored(scaled))
 
 
 def test_distance_from_the_origin_does_not_matter():
     mesh = samples.organic(8000).objects[0].mesh
     plain = quiet(load(mesh), rays=64)
     moved = quiet(load(make_mesh(mesh.positions + 1e4, mesh.faces, mesh.normals)), rays=64)
-    difference = (plain.transfer - moved.transfer).square().mean().sqrt()
-    assert difference < 0.01 * plain.transfer.square().mean().sqrt()
+    difference = (stored(plain) - stored(moved)).square().mean().sqrt()
+    assert difference < 0.01 * stored(plain).square().mean().sqrt()
 
 
 def test_the_estimated_error_is_the_error():
     scene = samples.organic(8000)
     transfer = quiet(scene, rays=128)
     truth = quiet(scene, rays=4096)
-    error = (transfer.transfer - truth.transfer).double().square().mean().sqrt()
+    error = (stored(transfer) - stored(truth)).double().square().mean().sqrt()
     # A sample of a few receivers: their squared errors scatter by a factor of about two.
     assert transfer.error == pytest.approx(float(error), rel=0.5)
-    assert transfer.signal == pytest.approx(float(truth.transfer.double().square().mean().sqrt()), rel=0.01)
+    assert transfer.signal == pytest.approx(float(stored(truth).double().square().mean().sqrt()), rel=0.01)
 
 
 @pytest.mark.parametrize(("rays", "published"), [(256, 0.015), (1024, 0.006)])
@@ -287,8 +288,8 @@ def test_error_of_a_scan_by_number_of_rays(data, rays, published):
     geometry = scene.geometry()
     chosen = torch.randperm(geometry.receivers, generator=torch.Generator().manual_seed(0))[:256]
     points = Points(geometry.receiver_positions[chosen], geometry.receiver_normals[chosen])
-    transfer = quiet(scene, rays=rays, receivers=points).transfer
-    truth = quiet(scene, rays=65536, receivers=points).transfer
+    transfer = stored(quiet(scene, rays=rays, receivers=points))
+    truth = stored(quiet(scene, rays=65536, receivers=points))
     assert (transfer - truth).norm() <= published * truth.norm()
 
 
