@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from transfers import gloss
 
 from torchprt.checkpoint import CheckpointWarning
 from torchprt.compression import clustered_pca, compress
@@ -254,7 +255,8 @@ def test_a_stopped_search_goes_on_to_the_same_bits(options, make_transfer, tmp_p
         with pytest.raises(KeyboardInterrupt):
             compress(transfer, report=Listener(after), checkpoint=path, **options)
         rest = Listener()
-        assert same(compress(transfer, report=rest, checkpoint=path, **options), expected, PACKED)
+        found = compress(transfer, report=rest, checkpoint=path, **options)
+        assert same(gloss(found).signal, gloss(expected).signal, PACKED)
         assert rest.told < whole.told
         assert not path.exists()
 
@@ -264,7 +266,7 @@ def test_a_file_is_kept_until_the_result_is_safe_if_that_is_asked(make_transfer,
     first = compress(transfer, error=0.2, checkpoint=path, keep=True)
     listener = Listener()
     again = compress(transfer, error=0.2, checkpoint=path, report=listener)
-    assert same(first, again, PACKED)
+    assert same(gloss(first).signal, gloss(again).signal, PACKED)
     # Weights are not kept: they follow from the clusters.
     assert {stage for stage, total, done, _ in listener.stages if done < total} == {"weights"}
     assert not path.exists()

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from shapes import square
-from transfers import KINDS, random_glossy
+from transfers import KINDS, gloss, random_glossy
 
 from torchprt import brdf, sh
 from torchprt.errors import InputError
@@ -135,7 +135,7 @@ def test_is_what_a_call_gives_toward_the_same_directions(kind):
     light = torch.randn(2, 9, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     views = hemisphere(5, seed=1)
     found = exit_radiance(module, views, light)
-    for row, vertex in enumerate(transfer.glossy.tolist()):
-        world = views @ module.frames[:, :, row]
-        called = module(light[:, None], view=world)[..., vertex, :] / transfer.specular
+    for row, vertex in enumerate(gloss(transfer).receivers.tolist()):
+        world = views @ module.layers[kind].frames[:, :, row]
+        called = module(light[:, None], view=world)[..., vertex, :] / gloss(transfer).specular
         torch.testing.assert_close(found[:, :, row], called, rtol=1e-11, atol=1e-11)

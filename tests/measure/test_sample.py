@@ -1,11 +1,9 @@
 """Are a few receivers of a scene the same receivers?"""
 
-import dataclasses
-
 import pytest
 import torch
 from shapes import square
-from transfers import KINDS, random_glossy
+from transfers import KINDS, gloss, random_glossy, replaced, stored
 
 from torchprt.errors import InputError
 from torchprt.measure import sample_receivers, sample_transfer
@@ -42,7 +40,7 @@ def test_refuses_a_receiver_that_the_transfer_does_not_have(chosen):
 
 
 def places(transfer, chosen):
-    return transfer.positions[transfer.glossy.long()[chosen]]
+    return transfer.positions[gloss(transfer).receivers.long()[chosen]]
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -52,14 +50,14 @@ def test_they_have_the_matrices_that_they_have_in_the_whole_scene(seed):
     few, chosen = sample_receivers(scene, 7, seed)
     assert len(chosen) == 7 == len(torch.unique(chosen))
     whole, part = quiet(scene), quiet(few)
-    assert len(part.glossy) < 7 * 3 + 1
+    assert len(gloss(part).receivers) < 7 * 3 + 1
     there = (places(part, chosen)[:, None] == whole.positions).all(-1).nonzero()
     assert torch.equal(there[:, 0], torch.arange(7))
-    wanted = whole.matrix[:, there[:, 1]]
+    wanted = stored(whole)[:, there[:, 1]]
     # The same rays meet the same surfaces: float32 sums of 128.
-    torch.testing.assert_close(part.matrix[:, chosen], wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
+    torch.testing.assert_close(stored(part)[:, chosen], wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
     open_sky = quiet(few, shadows=False)
-    assert float((part.matrix - open_sky.matrix).abs().max()) > 0.01
+    assert float((stored(part) - stored(open_sky)).abs().max()) > 0.01
 
 
 def test_other_seeds_choose_others():
@@ -117,8 +115,8 @@ def test_a_part_of_a_transfer_shades_as_it_did(kind):
     light = torch.randn(9, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     options = {"exponent": 8.0} if kind == "incident" else {}
     eye = torch.tensor([3.0, 4.0, 5.0], dtype=torch.float64)
-    whole = shader(dataclasses.replace(transfer, specular=torch.ones(1, 1)), **options)(light, eye=eye)
-    torch.testing.assert_close(shader(part, **options)(light, eye=eye), whole[transfer.glossy[chosen]])
+    whole = shader(replaced(transfer, specular=torch.ones(1, 1)), **options)(light, eye=eye)
+    torch.testing.assert_close(shader(part, **options)(light, eye=eye), whole[gloss(transfer).receivers[chosen]])
     assert part.vertices == 3
     assert sample_transfer(transfer, chosen[:0]).vertices == 0
 
