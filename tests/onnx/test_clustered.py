@@ -30,7 +30,7 @@ def test_diffuse_is_the_same(make_transfer, tmp_path, stored, channels, source):
     packed = compress(make_transfer(side=23, order=3, channels=channels), clusters=6, components=3, **stored)
     report, _ = exported(packed, tmp_path, source=source, size=8)
     assert report.inputs[source] == (("B", 9, 3) if source == "light" else ("B", 6, 8, 8, 3))
-    assert describe(report.path)["kind"] == "clustered"
+    assert describe(report.path)["kind"] == "clustered diffuse"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -49,7 +49,7 @@ def test_glossy_under_one_light_is_the_same(kind, tmp_path):
     exported(packed, tmp_path, fix_light=light, **({"exponent": 5.0} if kind == "incident" else {}))
 
 
-@pytest.mark.parametrize("kind", ["glossy", "visibility"])
+@pytest.mark.parametrize("kind", ["exit", "visibility"])
 def test_glossy_for_one_eye_is_the_same(kind, tmp_path):
     packed = compress(random_glossy(kind, vertices=90, glossy=80, channels=3), clusters=3, components=2)
     exported(packed, tmp_path, fix_eye=[1.0, 2.0, 0.5])
@@ -61,7 +61,7 @@ def test_an_exponent_for_every_receiver_stays_with_it(tmp_path):
 
 
 def test_the_weights_stay_compressed(make_transfer, tmp_path):
-    whole = random_glossy("glossy", vertices=600, order=5, output_order=4, diffuse=False)
+    whole = random_glossy("exit", vertices=600, order=5, output_order=4, diffuse=False)
     packed = compress(whole, clusters=4, components=3)
     sizes = [export(transfer, tmp_path / "a.onnx", check=False).bytes for transfer in (packed, whole)]
     assert sizes[0] < sizes[1] / 8

@@ -1,6 +1,5 @@
 """Does an exported file turn the lobes of a surface with its pose, as they are defined?"""
 
-import dataclasses
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -8,14 +7,16 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from transfers import gloss, replaced
 from zonal_transfers import by_definition, random_zonal, random_zonal_factored, turns
 
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.onnx import compare, describe, export
-from torchprt.onnx.deformable import DeformableGraph, leading
+from torchprt.onnx.graph import shader_graph
+from torchprt.onnx.hard_poses import random_poses
 from torchprt.onnx.operators import ALLOWED
-from torchprt.onnx.poses import random_poses
+from torchprt.onnx.zonal import leading
 from torchprt.shade import shader
 
 pytestmark = pytest.mark.usefixtures("untyped")
@@ -73,12 +74,16 @@ def written(tmp_path_factory):
     ("transfer", "arguments", "message"),
     [
         (random_zonal(), {"pose": "bones"}, "pose 'bones' is unknown: use 'frames' or 'positions'"),
-        (random_zonal(), {"eye": "direction"}, "eye is given, but diffuse transfer has neither eye nor lobe"),
+        (random_zonal(), {"eye": "direction"}, "eye is given, but .* 'zonal diffuse' does not depend on the eye"),
         (random_zonal(1), {"pose": "positions"}, "the transfer has no faces, from which frames are estimated"),
         (random_zonal(0), {}, "the transfer has no vertices"),
         (random_zonal(lobes=0, exact=False), {}, "the transfer has no lobes"),
         (random_zonal_factored(), {"pose": "frames"}, "eye is a point and pose is frames"),
-        (random_zonal_factored(), {"fix_eye": [1.0, 2.0, 3.0]}, "fix_eye is given, .* 'zonal factored' takes eye"),
+        (
+            random_zonal_factored(),
+            {"fix_eye": [1.0, 2.0, 3.0]},
+            r"fix_eye is given, .* zonal factored' takes eye",
+        ),
         (random_zonal_factored(), {"exponent": 3.0}, "exponent is given"),
         (random_zonal_factored(glossy=0), {}, "no receiver is glossy"),
     ],
@@ -96,7 +101,7 @@ def test_a_static_transfer_has_no_pose(make_transfer, tmp_path):
 
 def test_refuses_axes_that_are_not_unit_vectors(tmp_path):
     transfer = random_zonal()
-    transfer.axis[0, :, 2] = 0
+    gloss(transfer).signal.axis[0, 0, :, 2] = 0
     with pytest.raises(InputError, match="axis of the transfer holds 1 vectors"):
         export(transfer, tmp_path / "a.onnx")
 
@@ -104,12 +109,13 @@ def test_refuses_axes_that_are_not_unit_vectors(tmp_path):
 def test_refuses_more_than_two_gigabytes(tmp_path):
     one = random_zonal(1, order=6)
     count = 20_000_000
-    large = dataclasses.replace(
+    lobes = gloss(one).signal
+    large = replaced(
         one,
-        axis=one.axis.expand(4, 3, count),
-        coefficients=one.coefficients.expand(1, 4, 4, count),
-        exact=one.exact.expand(1, 4, count),
-        squared_error=one.squared_error.expand(count),
+        axis=lobes.axis.expand(1, 4, 3, count),
+        coefficients=lobes.coefficients.expand(1, 1, 4, 4, count),
+        exact=lobes.exact.expand(1, 1, 4, count),
+        squared_error=lobes.squared_error.expand(count),
         albedo=torch.ones(1, 1),
         positions=one.positions.expand(count, 3),
         normals=one.normals.expand(count, 3),
@@ -137,10 +143,11 @@ def test_the_pose_is_the_third_input_and_has_no_batch(written):
 
 def test_the_file_says_what_it_is(written):
     about = describe(written["positions"].path)
-    assert (about["kind"], about["pose"], about["order"], about["fit_error"]) == ("zonal", "positions", 3, 0.01)
+    assert (about["kind"], about["pose"], about["order"], about["fit_error"]) == ("zonal diffuse", "positions", 3, 0.01)
     assert describe(written["frames"].path)["pose"] == "frames"
     about = describe(written["point"].path)
-    assert (about["kind"], about["pose"], about["eye"], about["glossy"]) == ("zonal factored", "positions", "point", 4)
+    assert about["kind"] == "zonal diffuse + zonal factored"
+    assert (about["pose"], about["eye"], about["glossy"]) == ("positions", "point", 4)
 
 
 # What it computes
@@ -226,7 +233,7 @@ def test_refuses_to_compare_with_a_static_shader(written, make_transfer):
 @pytest.mark.parametrize("albedo", [("V", 3), ("V", 1), (1, 3), (1, 1)])
 def test_the_graph_is_the_sum_of_lobes(order, exact, channels, albedo):
     transfer = random_zonal(2, lobes=2, order=order, channels=channels, exact=exact, albedo=albedo)
-    graph = DeformableGraph(shader(transfer), transfer, "light", 4, "frames")
+    graph = shader_graph(shader(transfer), "light", 4, "point", "frames")
     light, frames = lights(1, order=order), turns(4)
     found = graph(light, torch.eye(3)[None], frames)[0]
     assert same(found, by_definition(transfer, light[0], frames), order)

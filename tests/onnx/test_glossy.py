@@ -1,19 +1,21 @@
 """Does an exported file show glossy surfaces to an eye as they are defined?"""
 
-import dataclasses
 import math
+import re
 from types import SimpleNamespace
 
 import onnx
 import onnxruntime
 import pytest
 import torch
-from transfers import KINDS, by_definition, frame_of, random_glossy
+from contents import contents
+from transfers import KINDS, by_definition, frame_of, gloss, random_glossy, replaced, stored
 
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.onnx import compare, describe, export
-from torchprt.onnx.eyes import conditions, random_eyes
+from torchprt.onnx.hard_eyes import conditions, random_eyes
+from torchprt.onnx.hard_poses import receivers
 from torchprt.onnx.operators import ALLOWED
 from torchprt.onnx.parity import tolerance
 from torchprt.onnx.plan import plan
@@ -77,17 +79,17 @@ def file(request, written):
 @pytest.mark.parametrize(
     ("kind", "arguments", "message"),
     [
-        ("glossy", {"eye": "left"}, "eye 'left' is unknown: use 'point' or 'direction'"),
-        ("glossy", {"exponent": 4.0}, "kind 'glossy' has its reflectance baked in"),
-        ("incident", {}, "kind 'incident' has no reflectance: give exponent"),
+        ("exit", {"eye": "left"}, "eye 'left' is unknown: use 'point' or 'direction'"),
+        ("exit", {"exponent": 4.0}, r"kind 'diffuse \+ exit' has its reflectance baked in"),
+        ("incident", {}, r"kind 'diffuse \+ incident' has no reflectance: give exponent"),
         ("incident", {"exponent": -1.0}, "exponent must be finite and zero or more"),
-        ("glossy", {"fix_eye": [1.0, 2.0]}, "fix_eye must be three finite numbers"),
-        ("glossy", {"fix_eye": [1.0, 2.0, math.nan]}, "fix_eye must be three finite numbers"),
-        ("glossy", {"fix_eye": [0.0, 0.0, 0.0], "eye": "direction"}, "view is a zero vector"),
-        ("glossy", {"fix_light": torch.zeros(9, 3)}, r"fix_light has shape \[9, 3\]: .* \[16, 3\] of order 4"),
-        ("glossy", {"fix_light": torch.full((16, 3), math.inf)}, "one finite light"),
-        ("glossy", {"fix_light": torch.zeros(16, 3), "source": "environment"}, "takes no environment"),
-        ("glossy", {"fix_light": torch.zeros(16, 3), "fix_eye": [1.0, 2.0, 3.0]}, "nothing is left to change"),
+        ("exit", {"fix_eye": [1.0, 2.0]}, "fix_eye must be three finite numbers"),
+        ("exit", {"fix_eye": [1.0, 2.0, math.nan]}, "fix_eye must be three finite numbers"),
+        ("exit", {"fix_eye": [0.0, 0.0, 0.0], "eye": "direction"}, "view is a zero vector"),
+        ("exit", {"fix_light": torch.zeros(9, 3)}, r"fix_light has shape \[9, 3\]: .* \[16, 3\] of order 4"),
+        ("exit", {"fix_light": torch.full((16, 3), math.inf)}, "one finite light"),
+        ("exit", {"fix_light": torch.zeros(16, 3), "source": "environment"}, "takes no environment"),
+        ("exit", {"fix_light": torch.zeros(16, 3), "fix_eye": [1.0, 2.0, 3.0]}, "nothing is left to change"),
     ],
 )
 def test_refuses_arguments_that_do_not_fit(tmp_path, kind, arguments, message):
@@ -101,15 +103,16 @@ def test_refuses_arguments_that_do_not_fit(tmp_path, kind, arguments, message):
     [("eye", "direction"), ("fix_eye", [1.0, 2.0, 3.0]), ("fix_light", torch.zeros(16, 3)), ("exponent", 4.0)],
 )
 def test_diffuse_transfer_has_neither_eye_nor_lobe(make_transfer, tmp_path, name, value):
-    with pytest.raises(InputError, match=f"{name} is given, but diffuse transfer has neither eye nor lobe"):
+    why = "has its reflectance baked in" if name == "exponent" else "does not depend on the eye"
+    with pytest.raises(InputError, match=f"{name} is given, but transfer of kind 'diffuse' {why}"):
         export(make_transfer(), tmp_path / "a.onnx", **{name: value})
 
 
-@pytest.mark.parametrize("name", ["matrix", "diffuse", "tangents"])
+@pytest.mark.parametrize("name", ["exit.signal.values", "diffuse.signal.values", "exit.tangents"])
 def test_refuses_values_that_are_not_finite(tmp_path, name):
     transfer = random_glossy()
-    getattr(transfer, name).view(-1)[5] = math.nan
-    with pytest.raises(InputError, match=f"'{name}' of the transfer holds 1 NaN"):
+    contents(transfer)[name].view(-1)[5] = math.nan
+    with pytest.raises(InputError, match=f"'{re.escape(name)}' of the transfer holds 1 NaN"):
         export(transfer, tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []
 
@@ -117,13 +120,13 @@ def test_refuses_values_that_are_not_finite(tmp_path, name):
 def large(count):
     """Transfer of order 5 and `count` receivers that takes little memory."""
     one = random_glossy(vertices=1, order=5, output_order=5, diffuse=False, specular=(1, 1), albedo=(1, 1))
-    return dataclasses.replace(
+    return replaced(
         one,
-        matrix=one.matrix.expand(1, count, 25, 25),
+        values=stored(one).expand(1, count, 25, 25),
         positions=one.positions.expand(count, 3),
         normals=one.normals.expand(count, 3),
-        tangents=one.tangents.expand(count, 3),
-        glossy=torch.arange(count),
+        tangents=gloss(one).tangents.expand(count, 3),
+        receivers=torch.arange(count),
     )
 
 
@@ -154,8 +157,8 @@ def test_uses_plain_operators_and_holds_its_weights_once(file):
     assert all(not tensor.external_data for tensor in model.graph.initializer)
     names = [name for node in model.graph.node for name in node.input]
     assert all(tensor.name in names for tensor in model.graph.initializer)
-    if file.transfer.kind != "visibility":
-        size = file.transfer.matrix.numel()
+    if gloss(file.transfer).kind != "visibility":
+        size = stored(file.transfer).numel()
         assert [math.prod(tensor.dims) for tensor in model.graph.initializer].count(size) == 1
 
 
@@ -173,8 +176,8 @@ def test_describes_itself(file):
     assert about["specular"] == "applied, one a receiver"
     assert about["inputs"] == file.report.inputs
     for name in ("projection", "output_order", "degree"):
-        assert about.get(name) == getattr(transfer, name, None)
-    assert about.get("exponent") == ("one a receiver" if transfer.kind == "incident" else None)
+        assert about.get(name) == getattr(gloss(transfer), name, None)
+    assert about.get("exponent") == ("one a receiver" if gloss(transfer).kind == "incident" else None)
 
 
 # What it computes
@@ -182,8 +185,8 @@ def test_describes_itself(file):
 
 def eyes_of(transfer):
     """Near, far, at a glossy receiver, under its tangent plane, in the middle, at a receiver that is not glossy."""
-    place, (tangent, _, normal) = transfer.positions[transfer.glossy[1]], frame_of(transfer, 1).float()
-    other = next(v for v in range(transfer.vertices) if v not in transfer.glossy.tolist())
+    place, (tangent, _, normal) = transfer.positions[gloss(transfer).receivers[1]], frame_of(transfer, 1).float()
+    other = next(v for v in range(transfer.vertices) if v not in gloss(transfer).receivers.tolist())
     rows = [
         torch.tensor([0.3, -0.2, 3.0]),
         torch.tensor([1e4, 2e4, -1e4]),
@@ -199,9 +202,12 @@ def test_is_what_each_kind_is_defined_as(file):
     transfer, eyes = file.transfer, eyes_of(file.transfer)
     lights = random_lights(len(eyes), ORDER)
     wanted = torch.stack(
-        [by_definition(transfer, *case, exponent=exponent_of(transfer.kind)) for case in zip(lights, eyes, strict=True)]
+        [
+            by_definition(transfer, *case, exponent=exponent_of(gloss(transfer).kind))
+            for case in zip(lights, eyes, strict=True)
+        ]
     )
-    module = shader(transfer, exponent=exponent_of(transfer.kind))
+    module = shader(transfer, exponent=exponent_of(gloss(transfer).kind))
     assert_same(run(file.path, light=lights, eye=eyes), wanted, tolerance(ORDER, module))
 
 
@@ -221,7 +227,7 @@ def test_any_batch_gives_each_case_what_it_gets_alone(file):
         # Products of another size are summed in another order.
         assert_same(run(file.path, light=lights[:count], eye=eyes[:count]).double(), whole[:count], tolerance(ORDER))
     # ONNX Runtime does not broadcast a batch of none against the receivers, which visibility does.
-    if file.transfer.kind != "visibility":
+    if gloss(file.transfer).kind != "visibility":
         assert run(file.path, light=lights[:0], eye=eyes[:0]).shape == (0, 7, 3)
 
 
@@ -245,14 +251,14 @@ def test_every_layout_is_what_it_is_defined_as(tmp_path, arguments):
 
 
 def test_a_distant_eye_is_a_direction_of_any_length(written, tmp_path):
-    transfer = written["glossy"].transfer
+    transfer = written["exit"].transfer
     report = export(transfer, tmp_path / "a.onnx", eye="direction")
     assert list(report.inputs) == ["light", "rotation", "view"]
     assert report.parity.passed
     assert describe(tmp_path / "a.onnx")["eye"] == "direction"
     lights = random_lights(6, ORDER)
     views = torch.randn(6, 3, generator=torch.Generator().manual_seed(4))
-    views[5] = -transfer.normals[transfer.glossy[0]] + 0.3 * transfer.tangents[0]
+    views[5] = -transfer.normals[gloss(transfer).receivers[0]] + 0.3 * gloss(transfer).tangents[0]
     wanted = torch.stack([by_definition(transfer, light, view=view) for light, view in zip(lights, views, strict=True)])
     for length in (1.0, 1e-30, 1e30):
         assert_same(run(tmp_path / "a.onnx", light=lights, view=views * length), wanted, tolerance(ORDER))
@@ -260,11 +266,11 @@ def test_a_distant_eye_is_a_direction_of_any_length(written, tmp_path):
 
 def test_a_receiver_without_a_normal_has_its_diffuse_layer_alone_also_from_cube_maps(tmp_path):
     transfer = random_glossy(order=2, output_order=2)
-    transfer.normals[transfer.glossy[1]] = 0
+    transfer.normals[gloss(transfer).receivers[1]] = 0
     report = export(transfer, tmp_path / "a.onnx", source="environment", size=4)
     assert report.inputs == {"environment": ("B", 6, 4, 4, 3), "rotation": ("B", 3, 3), "eye": ("B", 3)}
     assert report.parity.passed
-    transfer.matrix[:, 1] = 0
+    stored(transfer)[:, 1] = 0
     environment = torch.rand(2, 6, 4, 4, 3, generator=torch.Generator().manual_seed(0))
     eyes = torch.tensor([[0.1, 4.0, 1.0], [-2.0, 0.3, 0.2]])
     lights = sh.project_cube(environment.double(), 2)
@@ -313,62 +319,66 @@ def test_where_nothing_is_glossy_the_eye_must_be_fixed(tmp_path):
 
 
 def test_parity_sees_one_wrong_coefficient(file):
-    name = "visibility" if file.transfer.kind == "visibility" else "matrix"
-    wrong = getattr(file.transfer, name).clone()
+    wrong = stored(file.transfer).clone()
     # A tenth of one coefficient.
     wrong.view(-1)[len(wrong.view(-1)) // 2] += 0.1 * wrong.abs().max()
-    transfer = dataclasses.replace(file.transfer, **{name: wrong})
-    assert not compare(file.path, shader(transfer, exponent=exponent_of(transfer.kind))).passed
+    transfer = replaced(file.transfer, values=wrong)
+    assert not compare(file.path, shader(transfer, exponent=exponent_of(gloss(transfer).kind))).passed
 
 
 def test_parity_sees_a_receiver_in_another_place(file):
     places = file.transfer.positions.clone()
-    places[file.transfer.glossy[2]] += 0.01
-    transfer = dataclasses.replace(file.transfer, positions=places)
-    assert not compare(file.path, shader(transfer, exponent=exponent_of(transfer.kind))).passed
+    places[gloss(file.transfer).receivers[2]] += 0.01
+    transfer = replaced(file.transfer, positions=places)
+    assert not compare(file.path, shader(transfer, exponent=exponent_of(gloss(transfer).kind))).passed
 
 
 def test_parity_sees_a_frame_turned_by_a_degree(file):
     transfer = file.transfer
-    tangents = transfer.tangents.clone()
+    tangents = gloss(transfer).tangents.clone()
     _, bitangent, _ = frame_of(transfer, 0).float()
     tangents[0] = math.cos(math.radians(1)) * tangents[0] + math.sin(math.radians(1)) * bitangent
-    turned = dataclasses.replace(transfer, tangents=tangents)
-    assert not compare(file.path, shader(turned, exponent=exponent_of(transfer.kind))).passed
+    turned = replaced(transfer, tangents=tangents)
+    assert not compare(file.path, shader(turned, exponent=exponent_of(gloss(transfer).kind))).passed
 
 
 def test_parity_refuses_a_module_with_other_inputs(written):
-    module = EnvironmentShader(shader(written["glossy"].transfer), 4)
+    module = EnvironmentShader(shader(written["exit"].transfer), 4)
     with pytest.raises(InputError, match="takes light, rotation, eye but the module takes environment, rotation, eye"):
-        compare(written["glossy"].path, module)
+        compare(written["exit"].path, module)
     with pytest.raises(InputError, match=r"but the module takes light, rotation: compare its own"):
-        compare(written["glossy"].path, shader(written["glossy"].transfer).fix_eye(eye=torch.tensor([1.0, 2.0, 3.0])))
+        compare(written["exit"].path, shader(written["exit"].transfer).fix_eye(eye=torch.tensor([1.0, 2.0, 3.0])))
+
+
+def seen_of(transfer):
+    module = shader(transfer, dtype=torch.float64)
+    return receivers(module, module.layers[gloss(transfer).kind], {})
 
 
 def test_eyes_are_near_and_far_at_a_receiver_and_behind_it():
-    module = shader(random_glossy(vertices=50), dtype=torch.float64)
-    eyes = random_eyes(module, "eye", 24, torch.Generator().manual_seed(0)).double()
+    seen = seen_of(random_glossy(vertices=50))
+    eyes = random_eyes(seen, "eye", 24, torch.Generator().manual_seed(0)).double()
     assert eyes.isfinite().all()
-    distances = torch.linalg.vector_norm(eyes[:, None] - module.points.T, dim=-1)
-    size = torch.linalg.vector_norm(module.points.amax(1) - module.points.amin(1))
+    distances = torch.linalg.vector_norm(eyes[:, None] - seen.points.T, dim=-1)
+    size = torch.linalg.vector_norm(seen.points.amax(1) - seen.points.amin(1))
     assert (distances.amin(1) == 0).sum() == 4
     assert (distances.amin(1) > 1000 * size).sum() == 4
     assert ((distances.amin(1) > 0) & (distances.amin(1) < 0.02 * size)).sum() >= 4
-    assert min(float(conditions(module, eye, None).min()) for eye in eyes) < 0.5
+    assert min(float(conditions(seen, eye, None).min()) for eye in eyes) < 0.5
 
 
 def test_rounding_counts_less_toward_straight_below_alone():
     transfer = random_glossy(vertices=1)
-    module = shader(transfer, dtype=torch.float64)
+    seen = seen_of(transfer)
     tangent, _, normal = frame_of(transfer, 0)
     for angle in (0.0, 1e-3, 0.5, math.pi / 2):
         below = math.sin(angle) * tangent - math.cos(angle) * normal
         # Rounding of the frame, which is float32.
         expected = pytest.approx(math.sin(angle), abs=1e-6)
-        assert float(conditions(module, None, 7 * below)) == expected
-        assert float(conditions(module, module.points[:, 0] + 7 * below, None)) == expected
-        assert float(conditions(module, None, 0.1 * tangent + math.cos(angle) * normal)) == 1
-    assert float(conditions(module, module.points[:, 0], None)) == 1
+        assert float(conditions(seen, None, 7 * below)) == expected
+        assert float(conditions(seen, seen.points[:, 0] + 7 * below, None)) == expected
+        assert float(conditions(seen, None, 0.1 * tangent + math.cos(angle) * normal)) == 1
+    assert float(conditions(seen, seen.points[:, 0], None)) == 1
 
 
 def test_tolerance_grows_with_what_magnifies_rounding():

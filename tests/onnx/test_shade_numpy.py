@@ -133,7 +133,7 @@ def test_the_snippet_for_glossy_surfaces_runs_as_it_stands(scene):
     command = [sys.executable, "-c", snippet[1]]
     result = subprocess.run(command, cwd=scene[0], env=environment, capture_output=True, text=True)
     assert result.stderr == ""
-    assert result.stdout == "glossy ['phong:8'] (2, 7, 3)\n"
+    assert result.stdout == "diffuse + exit ['phong:8'] (2, 7, 3)\n"
 
 
 def test_its_functions_are_those_of_the_project():
