@@ -25,6 +25,9 @@ from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 
+# The arguments of a graph whose input has another name in the file.
+ARGUMENTS = {"environment": "light", "view": "eye", "frames": "pose", "positions": "pose"}
+
 
 @dataclass(frozen=True)
 class ExportReport:
@@ -125,13 +128,15 @@ def _trace(planned: Plan) -> onnx.ModelProto:
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
             planned.graph().eval(),
-            tuple(examples.values()),
+            kwargs={ARGUMENTS.get(name, name): value for name, value in examples.items()},
             dynamo=True,
             verbose=False,
             opset_version=OPSET,
             input_names=list(examples),
             output_names=["radiance"],
-            dynamic_shapes=tuple(None if name in planned.single else {0: batch} for name in examples),
+            dynamic_shapes={
+                ARGUMENTS.get(name, name): None if name in planned.single else {0: batch} for name in examples
+            },
         )
     assert program is not None
     # The exporter names values after operators of torch, of which `view` is one.

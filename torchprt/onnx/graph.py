@@ -31,10 +31,7 @@ class ShaderGraph(nn.Module):
         layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule)]
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
-    def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
-        return self.shine(light, rotation, None, None)
-
-    def shine(self, light: Tensor, rotation: Tensor, eye: Tensor | None, pose: Tensor | None) -> Tensor:
+    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor | None = None, pose: Tensor | None = None) -> Tensor:
         light = self.receive(light, rotation)
         frames = points = None
         if self.pose is not None and pose is not None:
@@ -43,38 +40,6 @@ class ShaderGraph(nn.Module):
         for radiance in others:
             first = first + radiance
         return first.mT
-
-
-class SeenGraph(ShaderGraph):
-    """As `ShaderGraph`, toward an eye."""
-
-    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, eye, None)
-
-
-class PosedGraph(ShaderGraph):
-    """As `ShaderGraph`, in a pose."""
-
-    def forward(self, light: Tensor, rotation: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, None, pose)
-
-
-class SeenPosedGraph(ShaderGraph):
-    """As `ShaderGraph`, toward an eye, in a pose."""
-
-    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, eye, pose)
-
-
-def shader_graph(shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> ShaderGraph:
-    """The graph with the inputs that the shader needs: what is traced has as many arguments as it has inputs."""
-    made = {
-        (False, False): ShaderGraph,
-        (True, False): SeenGraph,
-        (False, True): PosedGraph,
-        (True, True): SeenPosedGraph,
-    }["eye" in shader.needs, pose is not None]
-    return made(shader, source, size, eye, pose)
 
 
 class FixedLightGraph(nn.Module):

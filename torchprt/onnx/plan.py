@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.onnx.graph import FixedLightGraph, Pose, Source, shader_graph
+from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
 from torchprt.shade import EnvironmentShader, Shader, shader
@@ -91,7 +91,7 @@ def plan(
             inputs,
             transfer.vertices,
             about | {"fixed": {key: value.tolist() for key, value in place.items()}},
-            lambda: shader_graph(made(torch.float64).fix_eye(**place), source, size, eye, None),
+            lambda: ShaderGraph(made(torch.float64).fix_eye(**place), source, size, eye, None),
             lambda: from_source(made(torch.float64).fix_eye(**place)),
         )
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
@@ -121,7 +121,7 @@ def plan(
         inputs,
         transfer.vertices,
         about,
-        lambda: shader_graph(made(torch.float32), source, size, eye, chosen),
+        lambda: ShaderGraph(made(torch.float32), source, size, eye, chosen),
         lambda: from_source(made(torch.float64)),
         single=() if chosen is None else (chosen,),
     )

@@ -15,7 +15,7 @@ from torchprt.sh.basis import values_are_at_hand
 from torchprt.shade.fixed_light import FixedLightShader
 from torchprt.shade.frames import DeformedFrames
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
-from torchprt.shade.signal import signal_module
+from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Transfer
 
 
@@ -37,7 +37,7 @@ class Shader(nn.Module):
     ):
         """`estimate`: the frames of poses, if all layers follow one."""
         super().__init__()
-        self.layers = nn.ModuleDict(layers)
+        self.layers: Mapping[str, LayerModule] = nn.ModuleDict(layers)  # type: ignore[assignment]
         self.turn = turn
         self.order = turn.order
         self.vertices = vertices
@@ -85,7 +85,7 @@ class Shader(nn.Module):
         if out is not None and len(self.layers) != 1:
             raise InputError(f"out cannot be used with {len(self.layers)} layers: leave it out")
         radiance: Tensor | None = None
-        for layer in self._modules_of_layers():
+        for layer in self.layers.values():
             posed = None if turned is None else layer.among(turned, -3)
             values = layer.values(eye, view, posed, positions)
             radiance = layer.spread(layer(light, values, posed, out), radiance, self.vertices)
@@ -107,7 +107,7 @@ class Shader(nn.Module):
         self._check(eye, view, frames, positions)
         turned = self._one_pose(frames, positions)
         total: Tensor | None = None
-        for layer in self._modules_of_layers():
+        for layer in self.layers.values():
             posed = None if turned is None else layer.among(turned, -3)
             values = layer.values(eye, view, posed, positions)
             if values is not None and values.ndim != 2:
@@ -141,7 +141,7 @@ class Shader(nn.Module):
         radiance: Tensor | None = None
         seen: dict[str, LayerModule] = {}
         coefficients: dict[str, Tensor] = {}
-        for name, layer in zip(self.layers, self._modules_of_layers(), strict=True):
+        for name, layer in self.layers.items():
             if "eye" in layer.needs:
                 seen[name] = layer
                 coefficients[name] = layer.under(light) * layer.weight.T.unsqueeze(-2)
@@ -164,7 +164,7 @@ class Shader(nn.Module):
         turned = self._one_pose(frames, positions)
         layers = {
             name: layer.posed(None if turned is None else layer.among(turned, -3), positions)
-            for name, layer in zip(self.layers, self._modules_of_layers(), strict=True)
+            for name, layer in self.layers.items()
         }
         return Shader(layers, self.turn, self.vertices)
 
@@ -201,9 +201,6 @@ class Shader(nn.Module):
         if eye is not None and frames is not None and positions is None:
             raise InputError("eye is a point and frames are given without positions: give positions too, or a view")
 
-    def _modules_of_layers(self) -> list[LayerModule]:
-        return [layer for layer in self.layers.values() if isinstance(layer, LayerModule)]
-
 
 def shader(
     transfer: Transfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = (), **choices: Any
@@ -236,7 +233,7 @@ def shader(
         for layer in transfer.layers.values():
             dtype = torch.promote_types(dtype, layer.signal.dtype)
     layers = {
-        name: layer_module(layer, transfer.receivers, dtype, learned[name], given)
+        name: layer_module(layer, Making(transfer.receivers, dtype, learned[name], given))
         for name, layer in transfer.layers.items()
     }
     device = transfer.positions.device

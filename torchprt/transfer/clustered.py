@@ -94,10 +94,6 @@ class Clustered(Signal):
         return self.mean.dtype
 
     @property
-    def stored_as(self) -> str:
-        return str(self.weights.dtype).removeprefix("torch.")
-
-    @property
     def bytes(self) -> int:
         """Bytes of labels, weights and representatives: what those of the dense signal were lowered to."""
         return super().bytes - bytes_of(self.squared_error)
@@ -176,18 +172,6 @@ class Clustered(Signal):
     def combined(self, rows: Float[Tensor, "R M"]) -> Clustered:
         """`squared_error` stays that of the former rows."""
         return self._mapped(lambda signal: (rows @ signal.double()).to(signal.dtype))
-
-    def summary(self) -> list[str]:
-        about = f"{len(self.mean)} clusters ({self.method}), {len(self.basis) / len(self.mean):.3g} PCA vectors each"
-        about += f", compression error {self.compression_error or 0:.2%} (relative RMS)"
-        if len(self.shared):
-            about += f", in {len(self.shared)} shared axes"
-        squared = self.squared_error.double()
-        worst = float(squared.max() / squared.mean()) ** 0.5 if float(squared.sum()) else 1.0
-        sizes = {"labels": bytes_of(self.label), "weights": bytes_of(self.weights)}
-        sizes["representatives"] = self.bytes - sum(sizes.values())
-        told = ", ".join(f"{name} {size / 2**20:.2f} MB" for name, size in sizes.items())
-        return [about, f"{told}, worst vertex {worst:.1f} times the RMS"]
 
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, or labels, offsets and weights do not fit together."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -83,11 +83,6 @@ class Layer(Part, abc.ABC):
         }
         return self.replace(signal=self.signal.take(index), receivers=receivers, **rows)
 
-    @property
-    def functions(self) -> str:
-        """What its rows are weighted with, for people; nothing where there is one row and no eye."""
-        return ""
-
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, the weight leaves [0, 1], or `receivers` do not ascend."""
         super().check(of)
@@ -128,9 +123,6 @@ class Diffuse(Layer):
 
     albedo: Tensor
 
-    def summary(self) -> list[str]:
-        return [f"albedo {weight_text(self.albedo)}"]
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.signal.shape[2] != 1:
@@ -160,13 +152,3 @@ class EyeLayer(Layer):
     tangents: Tensor
     specular: Tensor
     materials: list[str] = field(default_factory=list)
-
-    def summary(self) -> list[str]:
-        return [f"materials {', '.join(self.materials) or 'none'}, specular {weight_text(self.specular)}"]
-
-
-def weight_text(weight: Float[Tensor, "G|1 3|1"]) -> str:
-    """A weight for people."""
-    if len(weight) == 1:
-        return ", ".join(f"{value:.3g}" for value in weight[0].tolist())
-    return "of every vertex, mean ({:.4g}, {:.4g}, {:.4g})".format(*weight.float().expand(-1, 3).mean(0).tolist())

@@ -96,10 +96,6 @@ class Part:
                     f"tensor '{of}{name}' of the transfer holds {bad} NaN or infinite values: bake it again"
                 )
 
-    def summary(self) -> list[str]:
-        """Lines for people about what it holds, and what that loses."""
-        return []
-
     def replace(self: P, **changes: Any) -> P:
         """The same with other values in some fields."""
         return dataclasses.replace(self, **changes)

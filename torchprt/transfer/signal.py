@@ -44,11 +44,6 @@ class Signal(Part, abc.ABC):
         """That most of the bytes are in."""
 
     @property
-    def stored_as(self) -> str:
-        """What most of the bytes are, for people."""
-        return str(self.dtype).removeprefix("torch.")
-
-    @property
     def bytes(self) -> int:
         """Bytes of what is stored."""
         return bytes_of(*self.tensors().values())

@@ -98,15 +98,6 @@ class Zonal(Signal):
             **{name: value.index_select(-1, index).contiguous() for name, value in self.tensors().items()}
         )
 
-    def summary(self) -> list[str]:
-        each = "vertex" if self.shape[2] == 1 else "row"
-        about = f"{self.lobes} {'lobe' if self.lobes == 1 else 'lobes'} a {each}"
-        if self.exact.shape[2]:
-            about += ", bands 0 and 1 exact"
-        if self.smooth:
-            about += ", lobes of neighbours correspond"
-        return [about if self.fit_error is None else f"{about}, fit error {self.fit_error:.2%} (relative RMS)"]
-
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, or an axis is not of unit length within 1e-4 (or the rounding
         of its dtype)."""
