@@ -14,7 +14,7 @@ from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.transfer.dense import Dense
-from torchprt.transfer.layout import FLOATS, WHOLE, Layout, bytes_of
+from torchprt.transfer.layout import FLOATS, WHOLE, Layout
 from torchprt.transfer.signal import Signal, check_counts, columns_of
 
 _LABELS = (torch.uint8, torch.int16, torch.int32, torch.int64)
@@ -52,6 +52,8 @@ class Clustered(Signal):
         "squared_error": Layout(("G",)),
     }
 
+    stored: ClassVar[tuple[str, ...]] = ("mean", "basis", "shared", "low", "step")
+
     label: Tensor
     weights: Tensor
     mean: Tensor
@@ -88,15 +90,6 @@ class Clustered(Signal):
     def shape(self) -> tuple[int, int, int, int]:
         _, channels, rows, columns = self.shared.shape
         return len(self.label), channels, rows, columns
-
-    @property
-    def dtype(self) -> torch.dtype:
-        return self.mean.dtype
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of labels, weights and representatives: what those of the dense signal were lowered to."""
-        return super().bytes - bytes_of(self.squared_error)
 
     @property
     def counts(self) -> Int[Tensor, "K"]:
@@ -148,10 +141,6 @@ class Clustered(Signal):
         matrices = self.numbers().unflatten(1, self.shared.shape[1:])
         values = matrices[:, :, 0].permute(1, 2, 0) if rows == 1 else matrices.transpose(0, 1)
         return Dense(values=values.contiguous())
-
-    def to(self, dtype: torch.dtype) -> Clustered:
-        names = ("mean", "basis", "shared", "low", "step")
-        return self.replace(**{name: getattr(self, name).to(dtype) for name in names})
 
     def to_order(self, order: int) -> Clustered:
         count = columns_of(order, math.isqrt(self.shape[3]))

@@ -12,7 +12,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices, check_unit_weights
+from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, bytes_of, check_indices, check_unit_weights
 from torchprt.transfer.signal import Signal
 
 L = TypeVar("L", bound="Layer")
@@ -57,8 +57,9 @@ class Layer(Part, abc.ABC):
 
     @property
     def bytes(self) -> int:
-        """Bytes of its transfer and tables, which is what compression lowers."""
-        return self.signal.bytes
+        """Bytes of its transfer and of tables that all receivers share."""
+        tables = (value for name, value in self.tensors().items() if not self.layouts[name].shape[0].startswith("G"))
+        return self.signal.bytes + bytes_of(*tables)
 
     def index(self, count: int) -> Int[Tensor, "G"]:
         """The numbers of its receivers among `count`."""
@@ -79,7 +80,7 @@ class Layer(Part, abc.ABC):
         rows = {
             name: getattr(self, name)[index]
             for name, layout in self.layouts.items()
-            if layout.shape[0].split("|")[0] == "G" and name != "receivers" and len(getattr(self, name)) > 1
+            if layout.shape[0].startswith("G") and name != "receivers" and len(getattr(self, name)) > 1
         }
         return self.replace(signal=self.signal.take(index), receivers=receivers, **rows)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layer import EyeLayer
-from torchprt.transfer.layout import REAL, Layout, bytes_of
+from torchprt.transfer.layout import REAL, Layout
 from torchprt.transfer.signal import columns_of
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
@@ -66,10 +66,6 @@ class Factored(EyeLayer):
                 f"tensor 'factors' of the transfer holds {len(self.factors)} factors: the signal has "
                 f"{self.signal.shape[2]} rows, one is needed for each"
             )
-
-    @property
-    def bytes(self) -> int:
-        return super().bytes + bytes_of(self.factors)
 
 
 @dataclass(kw_only=True)
@@ -144,10 +140,6 @@ class Visibility(EyeLayer):
     def visibility_order(self) -> int:
         """Number of bands of visibility."""
         return math.isqrt(self.signal.shape[3])
-
-    @property
-    def bytes(self) -> int:
-        return super().bytes + bytes_of(self.kernel)
 
     def to_order(self, order: int) -> Visibility:
         columns_of(order, self.light_order)

@@ -10,7 +10,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.layout import Layout, bytes_of
+from torchprt.transfer.layout import Layout
 from torchprt.transfer.signal import Signal, check_counts, columns_of
 
 
@@ -42,6 +42,7 @@ class Zonal(Signal):
         "exact": Layout(("C", "M", "J", "G")),
         "squared_error": Layout(("G",)),
     }
+    stored: ClassVar[tuple[str, ...]] = ("coefficients", "axis", "exact")
     follows_pose: ClassVar[bool] = True
 
     axis: Tensor
@@ -74,18 +75,6 @@ class Zonal(Signal):
     def shape(self) -> tuple[int, int, int, int]:
         channels, rows, _, _, receivers = self.coefficients.shape
         return receivers, channels, rows, self.order**2
-
-    @property
-    def dtype(self) -> torch.dtype:
-        return self.coefficients.dtype
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of axes and coefficients."""
-        return super().bytes - bytes_of(self.squared_error)
-
-    def to(self, dtype: torch.dtype) -> Zonal:
-        return self.replace(**{name: getattr(self, name).to(dtype) for name in ("axis", "coefficients", "exact")})
 
     def to_order(self, order: int) -> Zonal:
         """InputError below order 2 with `exact`, which would have to be cut."""
