@@ -77,7 +77,7 @@ def export(
 
     For transfer in zonal lobes the third input is a pose, without a batch: all B lights shine on it. `pose` "frames"
     (if omitted) takes `frames [V, 3, 3]`, the rotation of every vertex from the rest pose; "positions" takes
-    `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `shade.DeformedFrames`. Glossy lobes
+    `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `pose.DeformedFrames`. Glossy lobes
     take an eye and then a pose; a point needs "positions", which is then what they take if `pose` is omitted.
 
     With `check` the file is run in ONNX Runtime and compared with torch (see `compare`) before it takes its name;

@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from torchprt.onnx.layers import LayerGraph, layer_graph
 from torchprt.onnx.toward_eye import Eye
+from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, cube_basis
-from torchprt.shade import DeformedFrames, LayerModule, Shader
+from torchprt.shade import LayerModule, Shader
 
 Source = Literal["light", "environment"]
 Pose = Literal["frames", "positions"]

@@ -10,10 +10,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.shade.fixed_light import FixedLightShader
-from torchprt.shade.frames import DeformedFrames
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
 from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Transfer
@@ -65,7 +65,7 @@ class Shader(nn.Module):
         If it needs an eye: exactly one of `eye [..., 3]`, a point in the unit of the scene, and `view [..., 3]`, the
         direction toward a distant eye, of any length above zero. If it follows a pose: `frames [..., V, 3, 3]`, the
         rotation of every receiver from the rest pose, or `positions [..., V, 3]` of the deformed mesh, from which they
-        are estimated (`DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
+        are estimated (`pose.DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
         from `positions`, so an eye with frames needs both.
 
         All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they
