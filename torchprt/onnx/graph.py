@@ -11,7 +11,7 @@ from torchprt.onnx.layers import LayerGraph, layer_graph
 from torchprt.onnx.toward_eye import Eye
 from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, cube_basis
-from torchprt.shade import LayerModule, Shader
+from torchprt.shade import Shader
 
 Source = Literal["light", "environment"]
 Pose = Literal["frames", "positions"]
@@ -29,7 +29,7 @@ class ShaderGraph(nn.Module):
         super().__init__()
         self.receive = EnvironmentSource(shader.order, size) if source == "environment" else LightSource(shader.order)
         self.pose = None if pose is None else PoseGraph(shader.estimate if pose == "positions" else None)
-        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule)]
+        layers = shader.layers.values()
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
     def forward(self, light: Tensor, rotation: Tensor, eye: Tensor | None = None, pose: Tensor | None = None) -> Tensor:
@@ -52,7 +52,7 @@ class FixedLightGraph(nn.Module):
         """`light [N, 3]`."""
         super().__init__()
         radiance = shader.fix_light(light).radiance
-        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule) and "eye" in layer.needs]
+        layers = [layer for layer in shader.layers.values() if "eye" in layer.needs]
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, light=light) for layer in layers)
         self.register_buffer("below", None if radiance is None else radiance.detach().float().contiguous())
 

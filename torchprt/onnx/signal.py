@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,12 +19,11 @@ class SignalGraph(nn.Module):
     as classes made from the module of the signal and the weight `[G or 1, 3 or 1]`.
     """
 
-    signal: SignalModule
     weight: Tensor | None
 
-    def __init__(self, signal: SignalModule, weight: Tensor | None) -> None:
+    def __init__(self, signal: SignalModule | None, weight: Tensor | None) -> None:
         super().__init__()
-        self.signal = signal
+        self.signal: Any = signal
         self.register_buffer("weight", None if weight is None else weight.detach().T.float().contiguous())
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:

@@ -38,7 +38,7 @@ class ClusteredSignal(SignalModule):
     starts: Tensor
 
     def __init__(self, signal: Clustered, making: Making, lost: Tensor | None = None):
-        super().__init__()
+        super().__init__(signal.shape)
         dtype = making.dtype
         representatives, shared = signal.representatives(dtype), signal.shared.detach().to(dtype)
         if len(shared):
@@ -64,10 +64,6 @@ class ClusteredSignal(SignalModule):
         self.register_buffer("rows", rows)
         self.register_buffer("weights", blended)
         self.register_buffer("starts", first.int())
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        return (len(self.starts), *self.shared.shape[1:])
 
     def blend(self, table: Float[Tensor, "R D"]) -> Float[Tensor, "G D"]:
         """What receivers have of the rows of `table`, one for each representative."""

@@ -6,7 +6,7 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchprt.shade.batches import light_product
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
@@ -26,7 +26,7 @@ class DenseSignal(SignalModule):
     values: Tensor
 
     def __init__(self, signal: Dense, making: Making, lost: Tensor | None = None):
-        super().__init__()
+        super().__init__(signal.shape)
         values = signal.values
         if lost is not None:
             values = values.index_fill(2 if values.ndim == 3 else 1, lost, 0)
@@ -36,13 +36,9 @@ class DenseSignal(SignalModule):
     def holding(cls, values: Tensor) -> DenseSignal:
         """Of a tensor as it is, through which gradients may flow."""
         made = cls.__new__(cls)
-        nn.Module.__init__(made)
+        SignalModule.__init__(made, Dense(values=values).shape)
         made.register_buffer("values", values)
         return made
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        return Dense(values=self.values).shape
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         if self.values.ndim == 3:

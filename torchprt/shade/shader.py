@@ -65,19 +65,17 @@ class Shader(nn.Module):
         If it needs an eye: exactly one of `eye [..., 3]`, a point in the unit of the scene, and `view [..., 3]`, the
         direction toward a distant eye, of any length above zero. If it follows a pose: `frames [..., V, 3, 3]`, the
         rotation of every receiver from the rest pose, or `positions [..., V, 3]` of the deformed mesh, from which they
-        are estimated (`pose.DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
-        from `positions`, so an eye with frames needs both.
+        are estimated (`pose.DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is
+        seen from `positions`, so an eye with frames needs both.
 
         All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they
-        are then applied to the transfer once, and every further light costs what a diffuse one does. Every other eye or
-        pose takes C N V numbers of memory on the way. The result is a view with vertices contiguous, not a permuted
-        copy. `out`: a former result to write over, for loops that must not allocate; of one layer that is stored whole,
-        and without gradients.
+        are then applied once, and a further light costs what a diffuse one does; any other eye or pose takes C N V
+        numbers of memory. The result is a view with vertices contiguous, not a permuted copy. `out`: a former result
+        to write over, for loops that must not allocate; of one layer that is stored whole, and without gradients.
 
-        Raises InputError if the light is not of the order of the transfer, what it needs is not given or what it does
-        not need is, shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or
-        frames are not proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not
-        finite.
+        Raises InputError if the light is of another order, what it needs is not given or what it does not need is,
+        shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or frames are not
+        proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
         """
         self._check(eye, view, frames, positions)
         light = turned_light(light, rotation, self.turn)

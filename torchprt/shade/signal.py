@@ -40,10 +40,10 @@ class SignalModule(nn.Module, abc.ABC):
     choices: ClassVar[tuple[str, ...]] = ()
     follows_pose: ClassVar[bool] = False
 
-    @property
-    @abc.abstractmethod
-    def shape(self) -> tuple[int, int, int, int]:
-        """G, C, M, N."""
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        """`shape`: G, C, M, N."""
+        super().__init__()
+        self.shape = shape
 
     @abc.abstractmethod
     def toward(

@@ -43,7 +43,7 @@ class ZonalSignal(SignalModule):
     exact: Tensor
 
     def __init__(self, signal: Zonal, making: Making, lost: Tensor | None = None):
-        super().__init__()
+        super().__init__(signal.shape)
         self.method: Method = making.choices.get("method", "direct")
         if self.method not in get_args(Method):
             raise InputError(f"method '{self.method}' is unknown: use 'direct' or 'table'")
@@ -56,11 +56,6 @@ class ZonalSignal(SignalModule):
             elif lost is not None:
                 value = value.index_fill(-1, lost, 0)
             hold(self, name, value, making)
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        channels, rows, _, bands, receivers = self.coefficients.shape
-        return receivers, channels, rows, (bands + (2 if self.exact.shape[2] else 0)) ** 2
 
     def lobes(
         self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None

@@ -105,12 +105,6 @@ def bytes_of(*tensors: Tensor) -> int:
     return sum(each.numel() * each.element_size() for each in tensors)
 
 
-def check_unit_weights(name: str, weights: Tensor) -> None:
-    """InputError unless all are in [0, 1]."""
-    if weights.numel() and (weights.min() < 0 or weights.max() > 1):
-        raise InputError(f"{name} of the transfer is outside [0, 1]: bake it again")
-
-
 def check_indices(name: str, index: Tensor, count: int) -> None:
     """InputError if one of them names none of `count` vertices."""
     if index.numel() and (index.min() < 0 or index.max() >= count):

@@ -49,8 +49,8 @@ class Transfer:
         if not self.layers:
             raise InputError("the transfer has no layer: give one or more")
         for name, layer in self.layers.items():
-            if not name.isidentifier():
-                raise InputError(f"layer '{name}' of the transfer: give it a name of letters, digits and underscores")
+            if not name.isidentifier() or hasattr(torch.nn.ModuleDict, name):
+                raise InputError(f"layer '{name}' of the transfer: give it another name, a plain word")
             layer.check_among(self.vertices)
         orders = {layer.order for layer in self.layers.values()}
         if len(orders) > 1:
