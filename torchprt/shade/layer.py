@@ -47,7 +47,7 @@ class LayerModule(nn.Module, abc.ABC):
         self.signal = signal_module(layer.signal, making, lost)
 
     @property
-    def weight(self) -> Float[Tensor, "G|1 3|1"]:
+    def weight(self) -> Float[Tensor, "_ _"]:
         value: Tensor = getattr(self, self.weight_name)
         return value
 
