@@ -8,11 +8,17 @@ from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
 from .patch import bake_patch, patch_transfer
+from .task import Runner, Task
+from .workers import Processes, Threads
 from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
     "OrderWarning",
+    "Processes",
+    "Runner",
+    "Task",
+    "Threads",
     "bake",
     "bake_patch",
     "frames",
