@@ -55,7 +55,13 @@ class IncidentLayer(EyeLayerModule):
         device = self.specular.device
         if brdf is None:
             lobe = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
-            _check_exponent(lobe, self.points.shape[1])
+            count = self.points.shape[1]
+            if lobe.shape not in ((), (1,), (count,)):
+                raise InputError(
+                    f"exponent has shape {list(lobe.shape)}: give one, or one for each of the {count} glossy receivers"
+                )
+            if not bool((lobe.isfinite() & (lobe >= 0)).all()):
+                raise InputError("exponent must be finite and zero or more")
             hold(self, "exponent", lobe, making)
             self.register_buffer("band", bands(self.incident_order).to(device), persistent=False)
             return
@@ -79,15 +85,6 @@ class IncidentLayer(EyeLayerModule):
             return exit_functions(local, self.output_order, self.projection) @ self.chain
         mirrored = local * local.new_tensor([-1.0, -1.0, 1.0])
         return basis(mirrored, self.incident_order) * phong(self.exponent, self.incident_order)[..., self.band]
-
-
-def _check_exponent(value: Tensor, receivers: int) -> None:
-    if value.shape not in ((), (1,), (receivers,)):
-        raise InputError(
-            f"exponent has shape {list(value.shape)}: give one, or one for each of the {receivers} glossy receivers"
-        )
-    if not bool((value.isfinite() & (value >= 0)).all()):
-        raise InputError("exponent must be finite and zero or more")
 
 
 def with_material(

@@ -79,7 +79,7 @@ class Shader(nn.Module):
         """
         self._check(eye, view, frames, positions)
         light = turned_light(light, rotation, self.turn)
-        turned = self.pose(frames, positions)
+        turned = None if frames is None and positions is None else self.pose(frames, positions)
         if out is not None and len(self.layers) != 1:
             raise InputError(f"out cannot be used with {len(self.layers)} layers: leave it out")
         radiance: Tensor | None = None
