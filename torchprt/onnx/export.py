@@ -90,14 +90,7 @@ def export(
     if path.suffix != ".onnx":
         raise InputError(f"{path} must end in .onnx")
     planned = plan(
-        transfer,
-        source=source,
-        size=size,
-        eye=eye,
-        fix_eye=fix_eye,
-        fix_light=fix_light,
-        exponent=exponent,
-        pose=pose,
+        transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent, pose=pose
     )
     transfer.check()
     with atomic(path) as temporary:

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from torchprt.onnx.layers import LayerGraph, layer_graph
 from torchprt.onnx.toward_eye import Eye
-from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, cube_basis
 from torchprt.shade import Shader
 
@@ -27,16 +26,18 @@ class ShaderGraph(nn.Module):
 
     def __init__(self, shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> None:
         super().__init__()
-        self.receive = EnvironmentSource(shader.order, size) if source == "environment" else LightSource(shader.order)
-        self.pose = None if pose is None else PoseGraph(shader.estimate if pose == "positions" else None)
+        self.receive = LightSource(shader.order, size if source == "environment" else None)
+        self.estimate = shader.estimate if pose == "positions" else None
         layers = shader.layers.values()
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
     def forward(self, light: Tensor, rotation: Tensor, eye: Tensor | None = None, pose: Tensor | None = None) -> Tensor:
         light = self.receive(light, rotation)
         frames = points = None
-        if self.pose is not None and pose is not None:
-            frames, points = self.pose(pose), pose.T if pose.ndim == 2 else None
+        if pose is not None:
+            # Frames, or positions of a mesh.
+            frames = (pose if self.estimate is None else self.estimate(pose)).permute(1, 2, 0)
+            points = None if self.estimate is None else pose.T
         first, *others = (layer(light, eye, frames, points) for layer in self.layers)
         for radiance in others:
             first = first + radiance
@@ -67,39 +68,19 @@ class FixedLightGraph(nn.Module):
 
 
 class LightSource(nn.Module):
-    """`light [B, N, 3]` and `rotation [B, 3, 3]` to the light that shines."""
+    """`light [B, N, 3]`, or `environment [B, 6, size, size, 3]`, and `rotation [B, 3, 3]` to the light that shines."""
 
-    def __init__(self, order: int) -> None:
+    weights: Tensor | None
+
+    def __init__(self, order: int, size: int | None) -> None:
         super().__init__()
         self.turn = Rotation(order)
         self.coefficients = order**2
+        weights = None if size is None else cube_basis(order, size).to(torch.float32).T.contiguous()
+        self.register_buffer("weights", weights)
 
     def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
+        if self.weights is not None:
+            texels = light.movedim(-1, 1).reshape(-1, self.weights.shape[0])
+            light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
         return self.turn(light, rotation)
-
-
-class EnvironmentSource(LightSource):
-    """`environment [B, 6, size, size, 3]` and `rotation [B, 3, 3]` to the light that shines."""
-
-    weights: Tensor
-
-    def __init__(self, order: int, size: int) -> None:
-        super().__init__(order)
-        self.register_buffer("weights", cube_basis(order, size).to(torch.float32).T.contiguous())
-
-    def forward(self, environment: Tensor, rotation: Tensor) -> Tensor:
-        texels = environment.movedim(-1, 1).reshape(-1, self.weights.shape[0])
-        light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
-        return super().forward(light, rotation)
-
-
-class PoseGraph(nn.Module):
-    """`frames [V, 3, 3]`, or `positions [V, 3]` of a mesh, to frames `[3, 3, V]`."""
-
-    def __init__(self, estimate: DeformedFrames | None) -> None:
-        super().__init__()
-        self.estimate = estimate
-
-    def forward(self, pose: Tensor) -> Tensor:
-        frames = pose if self.estimate is None else self.estimate(pose)
-        return frames.permute(1, 2, 0)

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.onnx.hard_eyes import conditions, random_eyes
-from torchprt.onnx.hard_poses import random_poses, receivers
+from torchprt.onnx.hard_cases import conditions, random_eyes, random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader

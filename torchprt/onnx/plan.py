@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -15,8 +15,6 @@ from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
 from torchprt.shade import EnvironmentShader, Shader, shader
 from torchprt.transfer import Transfer
-
-Exponent: TypeAlias = float | int | Tensor | None
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
 LIMIT = 2**31 - 2**20
@@ -48,7 +46,7 @@ def plan(
     eye: Eye,
     fix_eye: Sequence[float] | Tensor | None,
     fix_light: Tensor | None,
-    exponent: Exponent,
+    exponent: float | int | Tensor | None,
     pose: Pose | None = None,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
