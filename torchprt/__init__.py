@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from . import light as light
     from . import measure as measure
     from . import onnx as onnx
+    from . import pose as pose
     from . import preview as preview
     from . import scene as scene
     from . import sh as sh
@@ -38,6 +39,7 @@ _ROOMS = (
     "light",
     "measure",
     "onnx",
+    "pose",
     "preview",
     "scene",
     "sh",

@@ -29,6 +29,7 @@ ROOMS = (
     "trace",
     "scene",
     "scene.samples",
+    "pose",
     "shade",
     "transport",
     "onnx",

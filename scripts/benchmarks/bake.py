@@ -16,6 +16,7 @@ import time
 import types
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest import mock
 
@@ -30,7 +31,7 @@ from torchprt.transport import bake, frames, hemisphere
 from torchprt.transport.diffuse import cosine_weights, shadowed
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.solve import vertex_receivers
-from torchprt.transport.workers import Workers, chunks
+from torchprt.transport.task import chunks
 
 ORDER, RAYS, ROUNDS = 5, 1024, 9
 SAMPLE, REFERENCE_RAYS, RANDOM_SETS = 256, 1 << 16, 8
@@ -76,9 +77,8 @@ def bare_tracing(tracer: Tracer, receivers: Receivers, threads: int) -> tuple[fl
             with watch():
                 embree.run(start, directions, query="OCCLUDED")
 
-    with Workers(threads) as workers:
-        for _ in workers.map(one, chunks(len(receivers))):
-            pass
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(one, chunks(len(receivers))))
     return watch.wall / threads, watch.cpu
 
 
@@ -149,16 +149,16 @@ def stages(scene: Scene) -> Table:
     parts = Stages()
     # The package gives the name of this module to the function in it.
     top = importlib.import_module("torchprt.transport.bake")
-    solve, diffuse = (importlib.import_module(f"torchprt.transport.{name}") for name in ("solve", "diffuse"))
+    tasks, diffuse = (importlib.import_module(f"torchprt.transport.{name}") for name in ("diffuse_tasks", "diffuse"))
     watched: list[tuple[type | types.ModuleType, str, str]] = [
         (Scene, "geometry", "scene"),
         (Tracer, "__init__", "Embree's tree"),
         (top, "vertex_receivers", "origins of the receivers"),
-        (solve, "hemisphere", "directions and projection matrix"),
-        (solve, "projection", "directions and projection matrix"),
+        (tasks, "hemisphere", "directions and projection matrix"),
+        (tasks, "projection", "directions and projection matrix"),
         (Receivers, "frames", "frames"),
         (Tracer, "visibility", "tracing"),
-        (solve, "shadowed", "projection product"),
+        (tasks, "shadowed", "projection product"),
         (diffuse, "to_world", "rotation to the world"),
         (top, "error_and_signal", "error estimate"),
         (top.result, "diffuse", "result"),

@@ -25,7 +25,7 @@ from torchprt.measure import Table
 from torchprt.scene import Mesh, load, make_mesh
 from torchprt.trace import Tracer
 from torchprt.transport import bake
-from torchprt.transport.workers import CHUNK
+from torchprt.transport.task import CHUNK
 
 ORDER, LIMIT = 5, 8 * 2**30
 SIZES, RAYS = (8_000, 50_000, 200_000), (64, 1024)

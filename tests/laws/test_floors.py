@@ -12,13 +12,17 @@ PACKAGE = Path(torchprt.__file__).parent
 FLOORS = {
     "errors": -1, "version": -1, "files": 0, "progress": 0, "checkpoint": 0,
     "sh": 1, "transfer": 1,
-    "light": 2, "brdf": 2, "compression": 2, "trace": 2,
+    "light": 2, "pose": 2, "brdf": 2, "compression": 2, "trace": 2,
     "scene": 3, "shade": 3,
     "transport": 4, "onnx": 4, "preview": 4,
     "measure": 5, "web": 5, "demo": 5,
     "cli": 6, "__main__": 7,
 }  # fmt: skip
-LEAN = {"sh": {"torch", "jaxtyping", "numpy", "scipy"}, "shade": {"torch", "jaxtyping", "kornia"}}
+LEAN = {
+    "pose": {"torch", "jaxtyping"},
+    "sh": {"torch", "jaxtyping", "numpy", "scipy"},
+    "shade": {"torch", "jaxtyping", "kornia"},
+}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 

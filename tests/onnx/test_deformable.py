@@ -13,8 +13,8 @@ from zonal_transfers import by_definition, random_zonal, random_zonal_factored, 
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.onnx import compare, describe, export
-from torchprt.onnx.graph import shader_graph
-from torchprt.onnx.hard_poses import random_poses
+from torchprt.onnx.graph import ShaderGraph
+from torchprt.onnx.hard_cases import random_poses
 from torchprt.onnx.operators import ALLOWED
 from torchprt.onnx.zonal import leading
 from torchprt.shade import shader
@@ -233,7 +233,7 @@ def test_refuses_to_compare_with_a_static_shader(written, make_transfer):
 @pytest.mark.parametrize("albedo", [("V", 3), ("V", 1), (1, 3), (1, 1)])
 def test_the_graph_is_the_sum_of_lobes(order, exact, channels, albedo):
     transfer = random_zonal(2, lobes=2, order=order, channels=channels, exact=exact, albedo=albedo)
-    graph = shader_graph(shader(transfer), "light", 4, "point", "frames")
+    graph = ShaderGraph(shader(transfer), "light", 4, "point", "frames")
     light, frames = lights(1, order=order), turns(4)
     found = graph(light, torch.eye(3)[None], frames)[0]
     assert same(found, by_definition(transfer, light[0], frames), order)

@@ -14,8 +14,7 @@ from transfers import KINDS, by_definition, frame_of, gloss, random_glossy, repl
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.onnx import compare, describe, export
-from torchprt.onnx.hard_eyes import conditions, random_eyes
-from torchprt.onnx.hard_poses import receivers
+from torchprt.onnx.hard_cases import conditions, random_eyes, receivers
 from torchprt.onnx.operators import ALLOWED
 from torchprt.onnx.parity import tolerance
 from torchprt.onnx.plan import plan

@@ -1,6 +1,5 @@
 """The `torchprt` command."""
 
-from .command import app as app
-from .command import main as main
+from .command import app, main
 
 __all__ = ["app", "main"]

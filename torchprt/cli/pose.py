@@ -24,8 +24,8 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
     """
     import torch
 
+    from torchprt.pose import deformed_frames
     from torchprt.scene import read_mesh
-    from torchprt.shade import deformed_frames
     from torchprt.transfer import Vertices
 
     if "pose" not in transfer.needs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -29,13 +30,14 @@ def describe(transfer: Transfer) -> str:
     if transfer.bounces:
         parts.append(f"{transfer.bounces} {'bounce' if transfer.bounces == 1 else 'bounces'}")
     parts.append(f"order {transfer.order}")
-    parts += [layer.functions for layer in transfer.layers.values() if layer.functions]
+    parts += [_functions(layer) for layer in transfer.eye_layers.values()]
     parts += ["3 channels" if transfer.channels == 3 else "1 channel", f"{transfer.vertices} vertices"]
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
     if counts:
         parts[-1] += f" ({max(counts)} glossy)"
-    largest = max(transfer.layers.values(), key=lambda layer: layer.bytes)
-    parts.append(f"{transfer.bytes / 2**20:.1f} MB of {largest.signal.stored_as}")
+    signal = max(transfer.layers.values(), key=lambda layer: layer.bytes).signal
+    stored = signal.tensors()["weights"].dtype if "weights" in signal.tensors() else signal.dtype
+    parts.append(f"{transfer.bytes / 2**20:.1f} MB of {str(stored).removeprefix('torch.')}")
     if transfer.error is not None and transfer.signal:
         parts.append(f"error {transfer.error / transfer.signal:.2%} (RMS, Monte Carlo estimate)")
     return ", ".join(parts)
@@ -43,22 +45,88 @@ def describe(transfer: Transfer) -> str:
 
 def details(transfer: Transfer) -> list[str]:
     """Lines about where a transfer was recorded, and of each layer what it is and what it loses."""
-    lines = transfer.receivers.summary()
+    place = transfer.receivers.metadata()
+    lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces"]
+    if "rows" in place:
+        tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
+        lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
     for name, layer in transfer.layers.items():
-        told = layer.signal.summary() + layer.summary()
-        drawn = _overdraw(transfer, layer)
-        lines += [f"{name}: {line}" for line in told + ([drawn] if drawn else [])]
+        told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
+        lines += [f"{name}: {line}" for line in told]
     return lines
 
 
-def _overdraw(transfer: Transfer, layer: Layer) -> str:
-    """How often triangles are drawn by engines that draw a cluster at a time; nothing without clusters."""
+def _functions(layer: Layer) -> str:
+    """What stands between the light and the eye."""
+    about, (_, _, rows, _) = layer.metadata(), layer.signal.shape
+    if "reflectance" in layer.needs:
+        return f"incident radiance of order {math.isqrt(rows)}"
+    if "output_order" not in about:
+        return f"{rows} {'factors' if 'factor_error' in about else 'functions of the eye'}"
+    shown = f"output order {about['output_order']} ({about['projection']})"
+    seen = getattr(layer, "visibility_order", None)
+    return shown if seen is None else f"visibility order {seen}, {shown}"
+
+
+def _surface(layer: Layer) -> list[str]:
+    """Albedo, materials, and how well its functions of the eye hold them."""
+    about = layer.metadata()
+    if "materials" not in about:
+        return [f"{layer.weight_name} {_weight(layer.weight)}"]
+    names = ", ".join(about["materials"]) or "none"
+    lines = [f"materials {names}, {layer.weight_name} {_weight(layer.weight)}"]
+    if "reflectance" in layer.needs:
+        lines.append("the reflectance is chosen when it is shaded, that of bounces excepted")
+    if about.get("factor_error") is not None:
+        lines.append(f"{_functions(layer)} hold the material to {about['factor_error']:.2%}")
+    if about.get("exit_error") is not None:
+        worst = names if len(about["materials"]) == 1 else "the worst material"
+        lines.append(f"exit functions of order {about['output_order']} hold {worst} to {about['exit_error']:.2%}")
+    if about.get("product_error") is not None:
+        order = getattr(layer, "visibility_order", None)
+        lines.append(f"visibility of order {order} costs {about['product_error']:.2%} of radiance")
+    return lines
+
+
+def _clusters(transfer: Transfer, layer: Layer) -> list[str]:
+    """What compression cost and how often triangles are drawn by engines that draw a cluster at a time."""
     from torchprt.compression import overdraw
     from torchprt.compression.transfer import faces_between
 
-    label = layer.signal.tensors().get("label")
+    parts, about = layer.signal.tensors(), layer.signal.metadata()
+    if "label" not in parts:
+        return []
+    count, vectors = len(parts["mean"]), len(parts["basis"])
+    lost = f"compression error {about['compression_error'] or 0:.2%} (relative RMS)"
+    first = f"{count} clusters ({about['method']}), {vectors / count:.3g} PCA vectors each, {lost}"
+    if len(parts["shared"]):
+        first += f", in {len(parts['shared'])} shared axes"
+    squared = parts["squared_error"].double()
+    worst = float(squared.max() / squared.mean()) ** 0.5 if float(squared.sum()) else 1.0
+    sizes = {name: parts[name].numel() * parts[name].element_size() for name in ("label", "weights")}
+    sizes["representatives"] = layer.signal.bytes - sum(sizes.values())
+    told = ", ".join(f"{name} {size / 2**20:.2f} MB" for name, size in sizes.items())
     faces = faces_between(transfer, layer)
-    if label is None or not len(faces):
-        return ""
-    order = transfer.receivers.tensors().get("original")
-    return f"overdraw {overdraw(faces, label):.3f}" + ("" if order is None else ", vertices in the order of clusters")
+    drawn = f", overdraw {overdraw(faces, parts['label']):.3f}" if len(faces) else ""
+    order = ", vertices in the order of clusters" if "original" in transfer.receivers.tensors() else ""
+    return [first, f"{told}, worst vertex {worst:.1f} times the RMS{drawn}{order}"]
+
+
+def _lobes(layer: Layer) -> list[str]:
+    """How transfer is held in lobes that turn with the surface."""
+    parts, about = layer.signal.tensors(), layer.signal.metadata()
+    if "axis" not in parts:
+        return []
+    rows, lobes = parts["axis"].shape[:2]
+    said = f"{lobes} {'lobe' if lobes == 1 else 'lobes'} a {'vertex' if rows == 1 else 'row'}"
+    if parts["exact"].shape[2]:
+        said += ", bands 0 and 1 exact"
+    if about["smooth"]:
+        said += ", lobes of neighbours correspond"
+    return [said if about["fit_error"] is None else f"{said}, fit error {about['fit_error']:.2%} (relative RMS)"]
+
+
+def _weight(weight: Tensor) -> str:
+    if len(weight) == 1:
+        return ", ".join(f"{value:.3g}" for value in weight[0].tolist())
+    return f"of every vertex, mean {triple(weight.expand(-1, 3).float().mean(0))}"

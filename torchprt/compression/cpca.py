@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float, Float64, Int64, Shaped
 from torch import Tensor
 
 from torchprt.compression.checkpoint import Checkpoint
@@ -59,6 +59,16 @@ class ClusteredPca:
         """Squared error of every cluster, `[K]` float64."""
         return torch.zeros_like(self.mean[:, 0], dtype=torch.float64).index_add_(0, self.label, self.error)
 
+    def tensors(self) -> dict[str, Tensor]:
+        """What a `transfer.Clustered` signal stores."""
+        none = self.mean.new_zeros(0, dtype=torch.float32)
+        return flat_tensors(self.label, self.offsets, self.weights) | {
+            "mean": self.mean,
+            "basis": self.basis,
+            "low": none,
+            "step": none,
+        }
+
     def padded_basis(self) -> Tensor:
         """`[K, P, S]`: as many PCA vectors a cluster as the largest count, zero where there are none."""
         place = torch.arange(self.weights.shape[1], device=self.label.device)
@@ -97,6 +107,16 @@ class ClusteredPca:
         representatives = self.mean.numel() + self.basis.numel()
         bits = weights * weight_bits + representatives * representative_bits
         return -(-bits // 8) + label * len(self.label) + 2 * len(self.mean)
+
+
+def flat_tensors(
+    label: Int64[Tensor, "V"], offsets: Int64[Tensor, "K1"], weights: Shaped[Tensor, "V P"]
+) -> dict[str, Tensor]:
+    """Labels and offsets as narrow as they may be, and the weights of one point after the other, without padding."""
+    counts, clusters = offsets.diff(), len(offsets) - 1
+    real = torch.arange(weights.shape[1], device=weights.device) < counts[label, None]
+    narrow = torch.uint8 if clusters <= 1 << 8 else torch.int16 if clusters <= 1 << 15 else torch.int32
+    return {"label": label.to(narrow), "weights": weights[real], "offsets": offsets.to(torch.int32)}
 
 
 def clustered_pca(

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from torchprt.compression.clustering_data import check
-from torchprt.compression.cpca import ClusteredPca
+from torchprt.compression.cpca import ClusteredPca, flat_tensors
 from torchprt.compression.importance import root_of
 from torchprt.compression.subspaces import groups, one_thread, pieces
 from torchprt.errors import InputError
@@ -46,6 +46,13 @@ class QuantisedPca:
         weights = torch.zeros(self.code.shape, dtype=torch.float32, device=self.label.device)
         weights[real] = self.low[rows[real]] + self.step[rows[real]] * self.code[real].float()
         return ClusteredPca(self.label, self.mean.float(), self.basis.float(), self.offsets, weights, self.error)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """As `ClusteredPca.tensors`, with the ranges of weights of one byte."""
+        one = self.code.dtype == torch.uint8
+        ranges = {name: getattr(self, name)[: None if one else 0] for name in ("low", "step")}
+        flat = flat_tensors(self.label, self.offsets, self.code)
+        return flat | ranges | {"mean": self.mean, "basis": self.basis}
 
     def bytes(self) -> int:
         """As `ClusteredPca.bytes`, and for weights of one byte their ranges."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.compression.coherence import make_coherent
-from torchprt.compression.cpca import ClusteredPca, pack
-from torchprt.compression.quantise import QuantisedPca, quantise
+from torchprt.compression.cpca import pack
+from torchprt.compression.quantise import quantise
 from torchprt.compression.resumable_passes import Passes
 from torchprt.compression.shared_axes import shared_axes
 from torchprt.errors import InputError
@@ -50,7 +50,7 @@ def encode(
     if coherence > 0:
         packed = make_coherent(data, packed, faces, budget=coherence, importance=importance)
     stored = packed if bits == 32 else quantise(data, packed, bits=bits, importance=importance)
-    tensors = _tensors(stored, clusters)
+    tensors: dict[str, Any] = stored.tensors()
     rows = signal.new_zeros(0, signal.shape[1]) if axes is None else axes
     tensors["shared"] = rows.unflatten(1, dense.shape[1:]).to(tensors["mean"].dtype).contiguous()
     made = Clustered(**tensors, squared_error=signal.new_zeros(len(signal)), method=method)
@@ -116,24 +116,3 @@ def faces_between(transfer: Transfer, layer: Layer) -> Int[Tensor, "F 3"]:
     place[index] = torch.arange(len(index), device=faces.device)
     corners = place[faces]
     return corners[(corners >= 0).all(1)]
-
-
-def _tensors(stored: ClusteredPca | QuantisedPca, clusters: int) -> dict[str, Any]:
-    counts = stored.offsets.diff()
-    padded = stored.weights if isinstance(stored, ClusteredPca) else stored.code
-    real = torch.arange(padded.shape[1], device=padded.device) < counts[stored.label, None]
-    ranges = isinstance(stored, QuantisedPca) and stored.code.dtype == torch.uint8
-    none = stored.mean.new_zeros(0, dtype=torch.float32)
-    return {
-        "label": stored.label.to(_label_dtype(clusters)),
-        "weights": padded[real],
-        "mean": stored.mean,
-        "basis": stored.basis,
-        "offsets": stored.offsets.to(torch.int32),
-        "low": stored.low if isinstance(stored, QuantisedPca) and ranges else none,
-        "step": stored.step if isinstance(stored, QuantisedPca) and ranges else none,
-    }
-
-
-def _label_dtype(clusters: int) -> torch.dtype:
-    return torch.uint8 if clusters <= 1 << 8 else torch.int16 if clusters <= 1 << 15 else torch.int32

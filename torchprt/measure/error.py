@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh import bands
-from torchprt.shade import LayerModule, shader
+from torchprt.shade import shader
 from torchprt.transfer import Transfer
 
 
@@ -127,7 +127,6 @@ def _vectors(transfer: Transfer) -> Float[Tensor, "C N V"]:
     if list(transfer.layers) != ["diffuse"]:
         raise InputError(f"transfer of kind '{transfer.kind}' is more than diffuse: compare the radiance that it gives")
     layer = shader(transfer, dtype=torch.float64).layers["diffuse"]
-    assert isinstance(layer, LayerModule)
     return layer.toward(None)
 
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from torchprt.onnx.signal import SignalGraph, arranged, signal_graph
-from torchprt.shade import ClusteredSignal
+from torchprt.shade import ClusteredSignal, SignalModule
 
 # Receivers of one cluster that one product takes: padding against the overhead of a product.
 BLOCK = 64
@@ -24,7 +24,7 @@ class BlockSignal(ClusteredSignal):
     order: Tensor
 
     def __init__(self, signal: ClusteredSignal) -> None:
-        nn.Module.__init__(self)
+        SignalModule.__init__(self, signal.shape)
         self.register_buffer("representatives", signal.representatives.detach())
         self.register_buffer("shared", signal.shared)
         bounds = torch.cat([signal.starts.long(), torch.tensor([len(signal.rows)])])
@@ -75,8 +75,6 @@ def _in_blocks(signal: ClusteredSignal) -> tuple[BlockSignal, Tensor]:
 class BlockGraph(SignalGraph):
     """Clustered transfer: a light is applied to the representatives, blocks of receivers weigh what they send."""
 
-    signal: BlockSignal
-
     def table(self, light: Tensor) -> Tensor:
         """What the representatives send under `light [B, N, 3]`: `[R, B 3 M]`."""
 
@@ -94,7 +92,8 @@ class BlockGraph(SignalGraph):
                 found = (light.permute(2, 0, 1) @ flat).transpose(0, 1).reshape(-1, total, rows)
             return found.transpose(0, 1).flatten(1)
 
-        return self.signal.sent(product)
+        sent: Tensor = self.signal.sent(product)
+        return sent
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         return self.seen(self.table(light), values)

@@ -25,6 +25,9 @@ from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 
+# The arguments of a graph whose input has another name in the file.
+ARGUMENTS = {"environment": "light", "view": "eye", "frames": "pose", "positions": "pose"}
+
 
 @dataclass(frozen=True)
 class ExportReport:
@@ -74,7 +77,7 @@ def export(
 
     For transfer in zonal lobes the third input is a pose, without a batch: all B lights shine on it. `pose` "frames"
     (if omitted) takes `frames [V, 3, 3]`, the rotation of every vertex from the rest pose; "positions" takes
-    `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `shade.DeformedFrames`. Glossy lobes
+    `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `pose.DeformedFrames`. Glossy lobes
     take an eye and then a pose; a point needs "positions", which is then what they take if `pose` is omitted.
 
     With `check` the file is run in ONNX Runtime and compared with torch (see `compare`) before it takes its name;
@@ -87,14 +90,7 @@ def export(
     if path.suffix != ".onnx":
         raise InputError(f"{path} must end in .onnx")
     planned = plan(
-        transfer,
-        source=source,
-        size=size,
-        eye=eye,
-        fix_eye=fix_eye,
-        fix_light=fix_light,
-        exponent=exponent,
-        pose=pose,
+        transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent, pose=pose
     )
     transfer.check()
     with atomic(path) as temporary:
@@ -125,13 +121,15 @@ def _trace(planned: Plan) -> onnx.ModelProto:
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
             planned.graph().eval(),
-            tuple(examples.values()),
+            kwargs={ARGUMENTS.get(name, name): value for name, value in examples.items()},
             dynamo=True,
             verbose=False,
             opset_version=OPSET,
             input_names=list(examples),
             output_names=["radiance"],
-            dynamic_shapes=tuple(None if name in planned.single else {0: batch} for name in examples),
+            dynamic_shapes={
+                ARGUMENTS.get(name, name): None if name in planned.single else {0: batch} for name in examples
+            },
         )
     assert program is not None
     # The exporter names values after operators of torch, of which `view` is one.

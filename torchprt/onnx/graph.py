@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchprt.onnx.layers import LayerGraph, layer_graph
 from torchprt.onnx.toward_eye import Eye
 from torchprt.sh import Rotation, cube_basis
-from torchprt.shade import DeformedFrames, LayerModule, Shader
+from torchprt.shade import Shader
 
 Source = Literal["light", "environment"]
 Pose = Literal["frames", "positions"]
@@ -26,55 +26,22 @@ class ShaderGraph(nn.Module):
 
     def __init__(self, shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> None:
         super().__init__()
-        self.receive = EnvironmentSource(shader.order, size) if source == "environment" else LightSource(shader.order)
-        self.pose = None if pose is None else PoseGraph(shader.estimate if pose == "positions" else None)
-        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule)]
+        self.receive = LightSource(shader.order, size if source == "environment" else None)
+        self.estimate = shader.estimate if pose == "positions" else None
+        layers = shader.layers.values()
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
-    def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
-        return self.shine(light, rotation, None, None)
-
-    def shine(self, light: Tensor, rotation: Tensor, eye: Tensor | None, pose: Tensor | None) -> Tensor:
+    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor | None = None, pose: Tensor | None = None) -> Tensor:
         light = self.receive(light, rotation)
         frames = points = None
-        if self.pose is not None and pose is not None:
-            frames, points = self.pose(pose), pose.T if pose.ndim == 2 else None
+        if pose is not None:
+            # Frames, or positions of a mesh.
+            frames = (pose if self.estimate is None else self.estimate(pose)).permute(1, 2, 0)
+            points = None if self.estimate is None else pose.T
         first, *others = (layer(light, eye, frames, points) for layer in self.layers)
         for radiance in others:
             first = first + radiance
         return first.mT
-
-
-class SeenGraph(ShaderGraph):
-    """As `ShaderGraph`, toward an eye."""
-
-    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, eye, None)
-
-
-class PosedGraph(ShaderGraph):
-    """As `ShaderGraph`, in a pose."""
-
-    def forward(self, light: Tensor, rotation: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, None, pose)
-
-
-class SeenPosedGraph(ShaderGraph):
-    """As `ShaderGraph`, toward an eye, in a pose."""
-
-    def forward(self, light: Tensor, rotation: Tensor, eye: Tensor, pose: Tensor) -> Tensor:  # type: ignore[override]
-        return self.shine(light, rotation, eye, pose)
-
-
-def shader_graph(shader: Shader, source: Source, size: int, eye: Eye, pose: Pose | None) -> ShaderGraph:
-    """The graph with the inputs that the shader needs: what is traced has as many arguments as it has inputs."""
-    made = {
-        (False, False): ShaderGraph,
-        (True, False): SeenGraph,
-        (False, True): PosedGraph,
-        (True, True): SeenPosedGraph,
-    }["eye" in shader.needs, pose is not None]
-    return made(shader, source, size, eye, pose)
 
 
 class FixedLightGraph(nn.Module):
@@ -86,7 +53,7 @@ class FixedLightGraph(nn.Module):
         """`light [N, 3]`."""
         super().__init__()
         radiance = shader.fix_light(light).radiance
-        layers = [layer for layer in shader.layers.values() if isinstance(layer, LayerModule) and "eye" in layer.needs]
+        layers = [layer for layer in shader.layers.values() if "eye" in layer.needs]
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, light=light) for layer in layers)
         self.register_buffer("below", None if radiance is None else radiance.detach().float().contiguous())
 
@@ -101,39 +68,19 @@ class FixedLightGraph(nn.Module):
 
 
 class LightSource(nn.Module):
-    """`light [B, N, 3]` and `rotation [B, 3, 3]` to the light that shines."""
+    """`light [B, N, 3]`, or `environment [B, 6, size, size, 3]`, and `rotation [B, 3, 3]` to the light that shines."""
 
-    def __init__(self, order: int) -> None:
+    weights: Tensor | None
+
+    def __init__(self, order: int, size: int | None) -> None:
         super().__init__()
         self.turn = Rotation(order)
         self.coefficients = order**2
+        weights = None if size is None else cube_basis(order, size).to(torch.float32).T.contiguous()
+        self.register_buffer("weights", weights)
 
     def forward(self, light: Tensor, rotation: Tensor) -> Tensor:
+        if self.weights is not None:
+            texels = light.movedim(-1, 1).reshape(-1, self.weights.shape[0])
+            light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
         return self.turn(light, rotation)
-
-
-class EnvironmentSource(LightSource):
-    """`environment [B, 6, size, size, 3]` and `rotation [B, 3, 3]` to the light that shines."""
-
-    weights: Tensor
-
-    def __init__(self, order: int, size: int) -> None:
-        super().__init__(order)
-        self.register_buffer("weights", cube_basis(order, size).to(torch.float32).T.contiguous())
-
-    def forward(self, environment: Tensor, rotation: Tensor) -> Tensor:
-        texels = environment.movedim(-1, 1).reshape(-1, self.weights.shape[0])
-        light = (texels @ self.weights).reshape(-1, 3, self.coefficients).mT
-        return super().forward(light, rotation)
-
-
-class PoseGraph(nn.Module):
-    """`frames [V, 3, 3]`, or `positions [V, 3]` of a mesh, to frames `[3, 3, V]`."""
-
-    def __init__(self, estimate: DeformedFrames | None) -> None:
-        super().__init__()
-        self.estimate = estimate
-
-    def forward(self, pose: Tensor) -> Tensor:
-        frames = pose if self.estimate is None else self.estimate(pose)
-        return frames.permute(1, 2, 0)

@@ -42,10 +42,12 @@ class LayerGraph(nn.Module):
                 fixed = FixedCoefficients(layer.under(light) * layer.weight.T.unsqueeze(-2))
                 self.weight = None
             self.signal, held = fixed, held.float()
-        # Not a submodule: of its tensors only those that functions of the eye read belong to the graph.
-        self.held = [held]
         self.register_buffer("receivers", layer.receivers.int() if posed and layer.receivers is not None else None)
         self.spread = Spread(held.receivers, vertices)
+        self.prepare(held, eye, posed)
+
+    def prepare(self, layer: LayerModule, eye: Eye, posed: bool) -> None:
+        """Makes what gives the functions of the eye."""
 
     def product(self, layer: LayerModule, weight: Tensor | None) -> SignalGraph:
         return signal_graph(layer.signal, weight)
@@ -74,14 +76,10 @@ class LayerGraph(nn.Module):
 class EyeLayerGraph(LayerGraph):
     """A layer that depends on the eye, in its exit functions."""
 
-    def __init__(
-        self, layer: LayerModule, vertices: int, eye: Eye, posed: bool = False, light: Tensor | None = None
-    ) -> None:
-        super().__init__(layer, vertices, eye, posed, light)
-        held = self.held[0]
-        assert isinstance(held, EyeLayerModule)
-        self.toward = TowardEye(held.frames, None if posed else held.points, eye)
-        self.exits = self.exit_functions(held)
+    def prepare(self, layer: LayerModule, eye: Eye, posed: bool) -> None:
+        assert isinstance(layer, EyeLayerModule)
+        self.toward = TowardEye(layer.frames, None if posed else layer.points, eye)
+        self.exits = self.exit_functions(layer)
 
     def exit_functions(self, layer: EyeLayerModule) -> nn.Module:
         return ExitGraph(layer)
@@ -105,7 +103,7 @@ class VisibilityGraph(EyeLayerGraph):
 
     def product(self, layer: LayerModule, weight: Tensor | None) -> SignalGraph:
         assert isinstance(layer, VisibilityLayer)
-        return TowardGraph(layer)
+        return TowardGraph(layer, weight)
 
 
 @functools.singledispatch
@@ -141,16 +139,13 @@ class TowardGraph(SignalGraph):
     the rest when it opens the file.
     """
 
-    weight: Tensor
-
-    def __init__(self, layer: VisibilityLayer) -> None:
-        nn.Module.__init__(self)
+    def __init__(self, layer: VisibilityLayer, weight: Tensor | None) -> None:
+        super().__init__(None, weight)
         self.vectors = layer.vectors
-        self.register_buffer("weight", layer.weight.detach().T.contiguous())
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         assert values is not None
-        return (light.mT @ self.vectors(values.mT)) * self.weight
+        return self.weighed(light.mT @ self.vectors(values.mT))
 
 
 class ExitGraph(nn.Module):
@@ -158,7 +153,7 @@ class ExitGraph(nn.Module):
 
     def __init__(self, layer: EyeLayerModule) -> None:
         super().__init__()
-        # Not a submodule: of its tensors only those that the functions read belong to the graph.
+        # The layer is no submodule: of its tensors only those that the functions read belong to the graph.
         self.values = layer.exit_values
 
     def forward(self, local: Tensor) -> Tensor:

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.onnx.hard_eyes import conditions, random_eyes
-from torchprt.onnx.hard_poses import random_poses, receivers
+from torchprt.onnx.hard_cases import conditions, random_eyes, random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader
@@ -153,7 +152,7 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
     lights = [] if isinstance(module, FixedLightShader) else ["light", "rotation"]
     if isinstance(module, EnvironmentShader):
         lights[0] = "environment"
-    known = [[*lights, *more] for more in MORE[_needs(module)]]
+    known = [[*lights, *more] for more in MORE[_shader(module).needs]]
     if names not in known:
         taken = " or ".join(", ".join(inputs) for inputs in known)
         raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
@@ -162,10 +161,6 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
 def _shader(module: Module) -> Shader | FixedLightShader:
     """The shader of transfer inside."""
     return module.shader if isinstance(module, EnvironmentShader) else module
-
-
-def _needs(module: Module) -> frozenset[str]:
-    return _shader(module).needs
 
 
 def _eye_layers(module: Module | None) -> list[EyeLayerModule]:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.onnx.graph import FixedLightGraph, Pose, Source, shader_graph
+from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
 from torchprt.shade import EnvironmentShader, Shader, shader
 from torchprt.transfer import Transfer
-
-Exponent: TypeAlias = float | int | Tensor | None
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
 LIMIT = 2**31 - 2**20
@@ -48,7 +46,7 @@ def plan(
     eye: Eye,
     fix_eye: Sequence[float] | Tensor | None,
     fix_light: Tensor | None,
-    exponent: Exponent,
+    exponent: float | int | Tensor | None,
     pose: Pose | None = None,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
@@ -86,23 +84,24 @@ def plan(
 
     if fix_eye is not None:
         place = {name: _eye(fix_eye)}
-        _check_weights(_weight_columns(transfer) * transfer.order**2 * transfer.vertices + texels)
+        columns = max(max(layer.signal.shape[1], layer.weight.shape[1]) for layer in transfer.layers.values())
+        _check_weights(columns * transfer.order**2 * transfer.vertices + texels)
         return Plan(
             inputs,
             transfer.vertices,
             about | {"fixed": {key: value.tolist() for key, value in place.items()}},
-            lambda: shader_graph(made(torch.float64).fix_eye(**place), source, size, eye, None),
+            lambda: ShaderGraph(made(torch.float64).fix_eye(**place), source, size, eye, None),
             lambda: from_source(made(torch.float64).fix_eye(**place)),
         )
-    counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
-    if "eye" in needs and not max(counts):
+    seen = [layer.signal.shape for layer in transfer.eye_layers.values()]
+    if seen and not max(shape[0] for shape in seen):
         raise InputError("no receiver is glossy, so nothing depends on the eye: give fix_eye, any will do")
     if fix_light is not None:
         if source != "light":
             raise InputError("fix_light is given, so the graph takes no environment: leave source at 'light'")
         light = _light(fix_light, transfer.order)
-        rows = sum(layer.signal.shape[0] * layer.signal.shape[2] for layer in transfer.eye_layers.values())
-        _check_weights(3 * (rows + transfer.vertices) + _places(transfer))
+        rows = sum(receivers * rows for receivers, _, rows, _ in seen)
+        _check_weights(3 * rows + 12 * sum(shape[0] for shape in seen) + 5 * transfer.vertices)
         return Plan(
             {name: (3,)},
             transfer.vertices,
@@ -112,8 +111,9 @@ def plan(
         )
     if "eye" in needs:
         inputs[name] = (3,)
-    _check_weights(_stored(transfer) + _places(transfer) + texels, glossy="eye" in needs)
     chosen = _pose(transfer, eye, pose)
+    estimated = ESTIMATE * transfer.vertices if chosen == "positions" else 0
+    _check_weights(_numbers(transfer) + texels + estimated, glossy="eye" in needs)
     if chosen is not None:
         inputs[chosen] = (transfer.vertices, 3, 3) if chosen == "frames" else (transfer.vertices, 3)
         about["pose"] = chosen
@@ -121,7 +121,7 @@ def plan(
         inputs,
         transfer.vertices,
         about,
-        lambda: shader_graph(made(torch.float32), source, size, eye, chosen),
+        lambda: ShaderGraph(made(torch.float32), source, size, eye, chosen),
         lambda: from_source(made(torch.float64)),
         single=() if chosen is None else (chosen,),
     )
@@ -171,8 +171,6 @@ def _pose(transfer: Transfer, eye: Eye, pose: Pose | None) -> Pose | None:
         )
     if not any(layer.signal.bytes for layer in transfer.layers.values()):
         raise InputError("the transfer has no lobes: there is nothing to export")
-    if pose == "positions":
-        _check_weights(_stored(transfer) + ESTIMATE * transfer.vertices)
     return pose
 
 
@@ -191,21 +189,12 @@ def _light(given: Tensor, order: int) -> Tensor:
     return given.detach().double()
 
 
-def _stored(transfer: Transfer) -> int:
-    """Numbers of all layers: their signals, weights and tables. Padding of clusters is little beside them."""
+def _numbers(transfer: Transfer) -> int:
+    """Of all layers, their weights and tables, and of where receivers are: frames, positions and an index. Padding of
+    clusters is little beside them."""
     parts = [part for layer in transfer.layers.values() for part in (layer, layer.signal)]
-    return sum(value.numel() for part in parts for value in part.tensors().values())
-
-
-def _places(transfer: Transfer) -> int:
-    """Numbers that say where the receivers of layers that depend on the eye are: frames and positions, and an index."""
-    counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
-    return sum(12 * count + 2 * transfer.vertices for count in counts)
-
-
-def _weight_columns(transfer: Transfer) -> int:
-    """Channels that the product of transfer and weights has."""
-    return max(max(layer.signal.shape[1], layer.weight.shape[1]) for layer in transfer.layers.values())
+    stored = sum(value.numel() for part in parts for value in part.tensors().values())
+    return stored + sum(12 * layer.signal.shape[0] + 2 * transfer.vertices for layer in transfer.eye_layers.values())
 
 
 def _check_weights(count: int, glossy: bool = False) -> None:

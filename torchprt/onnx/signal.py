@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,18 +19,22 @@ class SignalGraph(nn.Module):
     as classes made from the module of the signal and the weight `[G or 1, 3 or 1]`.
     """
 
-    signal: SignalModule
     weight: Tensor | None
 
-    def __init__(self, signal: SignalModule, weight: Tensor | None) -> None:
+    def __init__(self, signal: SignalModule | None, weight: Tensor | None) -> None:
         super().__init__()
-        self.signal = signal
+        self.signal: Any = signal
         self.register_buffer("weight", None if weight is None else weight.detach().T.float().contiguous())
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         turned = None if frames is None else frames.permute(2, 0, 1)
-        seen = None if values is None else values.mT
-        return self.weighed(self.signal.radiance(light, seen, turned))
+        vectors: Tensor = self.signal.toward(None if values is None else values.mT, turned)
+        rows = vectors.movedim(1, -2)
+        if len(rows) == 1:
+            return self.weighed(light.mT @ rows[0])
+        lights = light.permute(2, 0, 1)
+        product = lights @ rows if values is None else (lights.unsqueeze(-2) @ rows).squeeze(-2)
+        return self.weighed(product.transpose(0, 1))
 
     def weighed(self, radiance: Tensor) -> Tensor:
         return radiance if self.weight is None else radiance * self.weight

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.preview.glb import save_glb
-from torchprt.shade import LayerModule, shader
+from torchprt.shade import shader
 from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
 
@@ -33,7 +33,6 @@ def save_transfer_glb(transfer: Transfer, path: str | os.PathLike[str], order: i
         )
     low = transfer.to_order(order)
     layer = shader(low).layers["diffuse"]
-    assert isinstance(layer, LayerModule)
     numbers = layer.toward(None).reshape(-1, low.vertices).float()
     count = -(-len(numbers) // 4)
     if count > MOST:

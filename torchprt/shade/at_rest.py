@@ -6,6 +6,7 @@ import torch
 
 from torchprt.shade.dense import DenseSignal
 from torchprt.shade.layer import layer_module
+from torchprt.shade.signal import Making
 from torchprt.transfer import Dense, Transfer
 
 
@@ -19,7 +20,7 @@ def at_rest(transfer: Transfer) -> Transfer:
         for name, layer in transfer.layers.items():
             if layer.signal.follows_pose:
                 dtype = torch.promote_types(layer.signal.dtype, torch.float32)
-                still = layer_module(layer, transfer.receivers, dtype, (), {}).posed(None, None).signal
+                still = layer_module(layer, Making(transfer.receivers, dtype)).posed(None, None).signal
                 assert isinstance(still, DenseSignal)
                 made[name] = layer.replace(signal=Dense(values=still.values))
     return transfer.with_layers(**made)

@@ -17,9 +17,11 @@ def light_product(
     """`sum_i vectors_i light_i`; a dimension of the batch in which `vectors` has size 1 only adds lights to a product.
 
     One matrix product if the vectors have no batch; C = 1, or 3, a channel of the light each. `out [*B, V, 3]`: a
-    former result to write over; InputError if it is not of this batch.
+    former result of vectors without a batch, to write over; InputError if it is not of this batch.
     """
     channels, count = vectors.shape[:2]
+    if vectors.ndim == 3:
+        return _of_one_batch(light, vectors, out)
     batch = torch.broadcast_shapes(light.shape[:-2], vectors.shape[2:-1])
     poses = (1,) * (len(batch) - vectors.ndim + 3) + tuple(vectors.shape[2:-1])
     paired = [axis for axis, size in enumerate(poses) if size != 1]
@@ -30,22 +32,30 @@ def light_product(
     sizes = [(*batch, 3)[axis] for axis in order]
     rows = light.mT.expand(*batch, 3, count).permute(*order, -1)
     rows = rows.reshape(len(matrices), math.prod(sizes) // max(len(matrices), 1), count)
-    memory = None if out is None else _memory(out, order, [*sizes, vectors.shape[-1]], rows.shape[:2])
-    if len(matrices) == 1:
-        products = torch.mm(rows[0], matrices[0], out=None if memory is None else memory[0])
-    else:
-        products = torch.bmm(rows, matrices, out=memory)
+    products = torch.mm(rows[0], matrices[0]) if len(matrices) == 1 else torch.bmm(rows, matrices)
     back = sorted(range(len(order)), key=order.__getitem__)
     return products.view(*sizes, vectors.shape[-1]).permute(*back, -1)
 
 
-def _memory(out: Tensor, order: list[int], sizes: list[int], rows: torch.Size) -> Tensor:
-    """`out` as the rows of vertices that a product writes."""
-    vertices = sizes[-1]
-    lanes = out.mT.permute(*order, -1) if out.ndim == len(sizes) else out
-    if list(lanes.shape) != sizes or not lanes.is_contiguous():
+def _of_one_batch(light: Tensor, vectors: Tensor, out: Tensor | None) -> Tensor:
+    channels, count, vertices = vectors.shape
+    batch = light.shape[:-2]
+    many = math.prod(batch)
+    if channels == 1:
+        memory = None if out is None else _memory(out, out.mT, (*batch, 3, vertices)).view(3 * many, vertices)
+        flat = light.mT.reshape(3 * many, count)
+        return torch.mm(flat, vectors[0], out=memory).view(*batch, 3, vertices)
+    # Every channel has its own transfer: channels come first, in the light and in the memory of the result.
+    memory = None if out is None else _memory(out, out.movedim(-1, 0), (3, *batch, vertices)).view(3, many, vertices)
+    flat = light.movedim(-1, 0).reshape(3, many, count)
+    return torch.bmm(flat, vectors, out=memory).view(3, *batch, vertices).movedim(0, -2)
+
+
+def _memory(out: Tensor, memory: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """`memory`, the view of `out` that a product writes; InputError if it is not of this `shape` in one piece."""
+    if memory.shape != shape or not memory.is_contiguous():
         raise InputError(
-            f"out must be a former result for this batch of lights and {vertices} vertices: "
+            f"out must be a former result for this batch of lights and {shape[-1]} vertices: "
             f"it has shape {tuple(out.shape)} and strides {out.stride()}"
         )
-    return lanes.view(*rows, vertices)
+    return memory

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.shade.dense import matrix_vectors
-from torchprt.shade.signal import SignalModule, hold, signal_module
+from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Clustered
 
 
@@ -37,14 +37,15 @@ class ClusteredSignal(SignalModule):
     weights: Tensor
     starts: Tensor
 
-    def __init__(self, signal: Clustered, dtype: torch.dtype, learn: Collection[str] = (), lost: Tensor | None = None):
-        super().__init__()
+    def __init__(self, signal: Clustered, making: Making, lost: Tensor | None = None):
+        super().__init__(signal.shape)
+        dtype = making.dtype
         representatives, shared = signal.representatives(dtype), signal.shared.detach().to(dtype)
         if len(shared):
             shared = _streamed(shared)
         else:
             representatives = _streamed(representatives.unflatten(1, shared.shape[1:]))
-        hold(self, "representatives", representatives, "representatives" in learn)
+        hold(self, "representatives", representatives, making)
         self.register_buffer("shared", shared)
         label = signal.label.long()
         vectors, weights, starts = signal.blend(dtype)
@@ -64,10 +65,6 @@ class ClusteredSignal(SignalModule):
         self.register_buffer("weights", blended)
         self.register_buffer("starts", first.int())
 
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        return (len(self.starts), *self.shared.shape[1:])
-
     def blend(self, table: Float[Tensor, "R D"]) -> Float[Tensor, "G D"]:
         """What receivers have of the rows of `table`, one for each representative."""
         return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=self.weights)
@@ -78,9 +75,7 @@ class ClusteredSignal(SignalModule):
             return self.representatives @ product(self.shared)
         return product(self.representatives)
 
-    def toward(
-        self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None = None
-    ) -> Float[Tensor, "C N ..."]:
+    def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         """From the matrices, which are decompressed for it."""
         rows = self.blend(self.representatives.flatten(1))
         matrices = (rows @ self.shared.flatten(1) if len(self.shared) else rows).unflatten(1, self.shared.shape[1:])
@@ -96,12 +91,7 @@ class ClusteredSignal(SignalModule):
         return self.blend(self.sent(lambda signal: signal[:, 0, 0] @ columns))
 
     def radiance(
-        self,
-        light: Float[Tensor, "*#B N 3"],
-        values: Float[Tensor, "*#B G M"] | None,
-        frames: Float[Tensor, "*#B G 3 3"] | None = None,
-        *,
-        out: Tensor | None = None,
+        self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None
     ) -> Float[Tensor, "... 3 G"]:
         if out is not None:
             raise InputError("out cannot be used with clustered transfer: leave it out")

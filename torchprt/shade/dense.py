@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchprt.shade.batches import light_product
-from torchprt.shade.signal import SignalModule, hold, signal_module
+from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Dense
 
 
@@ -26,24 +25,20 @@ class DenseSignal(SignalModule):
     learnable = ("values",)
     values: Tensor
 
-    def __init__(self, signal: Dense, dtype: torch.dtype, learn: Collection[str] = (), lost: Tensor | None = None):
-        super().__init__()
-        values = signal.values.detach()
+    def __init__(self, signal: Dense, making: Making, lost: Tensor | None = None):
+        super().__init__(signal.shape)
+        values = signal.values
         if lost is not None:
             values = values.index_fill(2 if values.ndim == 3 else 1, lost, 0)
-        hold(self, "values", values.to(dtype), "values" in learn)
+        hold(self, "values", values, making)
 
     @classmethod
     def holding(cls, values: Tensor) -> DenseSignal:
         """Of a tensor as it is, through which gradients may flow."""
         made = cls.__new__(cls)
-        nn.Module.__init__(made)
+        SignalModule.__init__(made, Dense(values=values).shape)
         made.register_buffer("values", values)
         return made
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        return Dense(values=self.values).shape
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         if self.values.ndim == 3:
@@ -54,9 +49,7 @@ class DenseSignal(SignalModule):
         flat = torch.bmm(lights, self.values.view(channels, receivers * rows, columns).mT)
         return flat.view(3, *batch, receivers, rows).movedim(0, -3).mT.contiguous()
 
-    def toward(
-        self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None = None
-    ) -> Float[Tensor, "C N ..."]:
+    def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         return self.values if values is None else matrix_vectors(self.values, values)
 
 

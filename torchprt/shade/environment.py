@@ -22,14 +22,7 @@ class EnvironmentShader(nn.Module):
 
     weights: Tensor
 
-    def __init__(
-        self,
-        shader: Shader,
-        size: int,
-        *,
-        exposure: float = 0.0,
-        tone: ToneMap | None = None,
-    ):
+    def __init__(self, shader: Shader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None):
         super().__init__()
         if size < 2:
             raise InputError(f"size {size} of the cube map is too small: give at least 2")

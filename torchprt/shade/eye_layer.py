@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Collection
 from typing import ClassVar
 
 import torch
@@ -13,10 +12,10 @@ from torch import Tensor
 from torchprt.brdf import sample_hemisphere_map
 from torchprt.sh import exit_functions
 from torchprt.shade.dense import DenseSignal
-from torchprt.shade.layer import Chosen, LayerModule, M, layer_module
-from torchprt.shade.signal import SignalModule, hold
+from torchprt.shade.layer import LayerModule, M, layer_module
+from torchprt.shade.signal import Making, SignalModule, hold
 from torchprt.shade.view_directions import local_frames, local_views, toward_eye
-from torchprt.transfer import Exit, Factored, Receivers
+from torchprt.transfer import Exit, Factored
 from torchprt.transfer.layer import EyeLayer
 
 
@@ -37,18 +36,12 @@ class EyeLayerModule(LayerModule):
     points: Tensor
     frames: Tensor
 
-    def __init__(
-        self,
-        layer: EyeLayer,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-    ):
+    def __init__(self, layer: EyeLayer, making: Making):
+        receivers, dtype = making.receivers, making.dtype
         index = layer.index(receivers.count)
         frames, has_frame = local_frames(receivers.normals[index], layer.tangents)
         lost = None if bool(has_frame.all()) else (~has_frame).nonzero()[:, 0]
-        super().__init__(layer, receivers, dtype, learn, choices, lost)
+        super().__init__(layer, making, lost)
         points = receivers.positions[index]
         self.register_buffer("points", points.T.to(torch.promote_types(points.dtype, dtype)).contiguous())
         self.register_buffer("frames", frames.permute(1, 2, 0).to(dtype).contiguous())
@@ -103,15 +96,8 @@ class ExitLayer(EyeLayerModule):
     Source: Sloan, Hall, Hart and Snyder 2003, section 3, equation 1.
     """
 
-    def __init__(
-        self,
-        layer: Exit,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-    ):
-        super().__init__(layer, receivers, dtype, learn, choices)
+    def __init__(self, layer: Exit, making: Making):
+        super().__init__(layer, making)
         self.exit_order = layer.output_order
         self.projection = layer.projection
 
@@ -133,17 +119,10 @@ class FactoredLayer(EyeLayerModule):
     choices = ("views",)
     factors: Tensor
 
-    def __init__(
-        self,
-        layer: Factored,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-    ):
-        super().__init__(layer, receivers, dtype, learn, choices)
-        hold(self, "factors", layer.factors.detach().to(dtype), "factors" in learn)
-        self.views = (choices or {}).get("views")
+    def __init__(self, layer: Factored, making: Making):
+        super().__init__(layer, making)
+        hold(self, "factors", layer.factors, making)
+        self.views = making.choices.get("views")
         self.exit_order = layer.factors.shape[-1]
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:

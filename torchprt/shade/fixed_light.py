@@ -29,7 +29,7 @@ class FixedLightShader(nn.Module):
         order: int,
     ):
         super().__init__()
-        self.layers = nn.ModuleDict(layers)
+        self.layers: Mapping[str, LayerModule] = nn.ModuleDict(layers)  # type: ignore[assignment]
         self.vertices, self.order = vertices, order
         self.needs = frozenset({"eye"})
         for name, value in coefficients.items():
@@ -45,7 +45,6 @@ class FixedLightShader(nn.Module):
         """
         radiance = self.radiance
         for name, layer in self.layers.items():
-            assert isinstance(layer, LayerModule)
             values = layer.values(eye, view)
             assert values is not None
             coefficients: Tensor = getattr(self, f"{name}_coefficients")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
 
 import torch
 from jaxtyping import Float
@@ -13,9 +12,9 @@ from torchprt.brdf import Brdf, exit_chain
 from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
 from torchprt.shade.eye_layer import EyeLayerModule
-from torchprt.shade.layer import Chosen, M, layer_module
-from torchprt.shade.signal import SignalModule, hold
-from torchprt.transfer import Exit, Incident, Layer, Receivers, Transfer
+from torchprt.shade.layer import M, layer_module
+from torchprt.shade.signal import Making, SignalModule, hold
+from torchprt.transfer import Exit, Incident, Layer, Transfer
 
 _EXPONENT = 40.0
 
@@ -44,16 +43,9 @@ class IncidentLayer(EyeLayerModule):
     chain: Tensor
     band: Tensor
 
-    def __init__(
-        self,
-        layer: Incident,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-    ):
-        super().__init__(layer, receivers, dtype, learn, choices)
-        given = choices or {}
+    def __init__(self, layer: Incident, making: Making):
+        super().__init__(layer, making)
+        given = making.choices
         brdf: Brdf | None = given.get("brdf")
         exponent: float | int | Tensor | None = given.get("exponent")
         self.incident_order = layer.output_order
@@ -63,16 +55,22 @@ class IncidentLayer(EyeLayerModule):
         device = self.specular.device
         if brdf is None:
             lobe = torch.as_tensor(_EXPONENT if exponent is None else exponent, dtype=torch.float64, device=device)
-            _check_exponent(lobe, self.points.shape[1])
-            hold(self, "exponent", lobe.to(dtype), "exponent" in learn)
+            count = self.points.shape[1]
+            if lobe.shape not in ((), (1,), (count,)):
+                raise InputError(
+                    f"exponent has shape {list(lobe.shape)}: give one, or one for each of the {count} glossy receivers"
+                )
+            if not bool((lobe.isfinite() & (lobe >= 0)).all()):
+                raise InputError("exponent must be finite and zero or more")
+            hold(self, "exponent", lobe, making)
             self.register_buffer("band", bands(self.incident_order).to(device), persistent=False)
             return
         if exponent is not None:
             raise InputError("exponent and brdf are both given: give one, exponent (of a Phong lobe) or brdf")
-        if "exponent" in learn:
+        if "exponent" in making.learn:
             raise InputError("learn names 'exponent', but brdf is given: there is no lobe to learn")
         chain = exit_chain(brdf, self.output_order, self.incident_order, self.projection)
-        self.register_buffer("chain", chain.to(device, dtype))
+        self.register_buffer("chain", chain.to(device, making.dtype))
 
     def taken(self: M, index: Tensor, signal: SignalModule) -> M:
         assert isinstance(self, IncidentLayer)
@@ -87,15 +85,6 @@ class IncidentLayer(EyeLayerModule):
             return exit_functions(local, self.output_order, self.projection) @ self.chain
         mirrored = local * local.new_tensor([-1.0, -1.0, 1.0])
         return basis(mirrored, self.incident_order) * phong(self.exponent, self.incident_order)[..., self.band]
-
-
-def _check_exponent(value: Tensor, receivers: int) -> None:
-    if value.shape not in ((), (1,), (receivers,)):
-        raise InputError(
-            f"exponent has shape {list(value.shape)}: give one, or one for each of the {receivers} glossy receivers"
-        )
-    if not bool((value.isfinite() & (value >= 0)).all()):
-        raise InputError("exponent must be finite and zero or more")
 
 
 def with_material(

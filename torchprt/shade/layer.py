@@ -5,8 +5,7 @@ from __future__ import annotations
 import abc
 import copy
 import functools
-from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -14,17 +13,16 @@ from torch import Tensor, nn
 
 from torchprt.errors import InputError
 from torchprt.shade.dense import DenseSignal
-from torchprt.shade.signal import SignalModule, hold, signal_module
-from torchprt.transfer import Diffuse, Layer, Receivers
+from torchprt.shade.signal import Making, SignalModule, hold, signal_module
+from torchprt.transfer import Diffuse, Layer
 
-Chosen = Mapping[str, Any]
 M = TypeVar("M", bound="LayerModule")
 
 
 class LayerModule(nn.Module, abc.ABC):
     """A layer of G receivers: `weight * sum_i values_i sum_j M_ij light_j`.
 
-    A subclass is made from its stored layer as `(layer, receivers, dtype, learn, choices)`, and says in `values` which
+    A subclass is made from its stored layer as `(layer, making)`, and says in `values` which
     functions of the eye there are. `choices` are keyword arguments of `shader`, those that the class or the class of
     its signal names. It is registered for the stored layer with `layer_module.register`.
     Buffers, or parameters if named in `learn`: the weight, under its name, and those of `signal`. `receivers [G]`:
@@ -39,28 +37,17 @@ class LayerModule(nn.Module, abc.ABC):
     signal: SignalModule
     receivers: Tensor | None
 
-    def __init__(
-        self,
-        layer: Layer,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-        lost: Tensor | None = None,
-    ):
+    def __init__(self, layer: Layer, making: Making, lost: Tensor | None = None):
         """`lost [.]`: numbers of the receivers, among those of the layer, that have nothing."""
         super().__init__()
-        self.weight_name = layer.weight_name
-        self.needs = layer.needs & {"eye"}
-        hold(self, layer.weight_name, layer.weight.detach().to(dtype), layer.weight_name in learn)
-        index = layer.index(receivers.count)
-        self.register_buffer("receivers", None if len(index) == receivers.count else index)
-        taken = signal_module.dispatch(type(layer.signal)).choices  # type: ignore[attr-defined]
-        given = {name: value for name, value in (choices or {}).items() if name in taken}
-        self.signal = signal_module(layer.signal, dtype, learn, lost, **given)
+        self.weight_name, self.needs = layer.weight_name, layer.needs & {"eye"}
+        hold(self, layer.weight_name, layer.weight, making)
+        index = layer.index(making.receivers.count)
+        self.register_buffer("receivers", None if len(index) == making.receivers.count else index)
+        self.signal = signal_module(layer.signal, making, lost)
 
     @property
-    def weight(self) -> Float[Tensor, "#G #3"]:
+    def weight(self) -> Float[Tensor, "_ _"]:
         value: Tensor = getattr(self, self.weight_name)
         return value
 
@@ -138,9 +125,7 @@ class LayerModule(nn.Module, abc.ABC):
 
 
 @functools.singledispatch
-def layer_module(
-    layer: Layer, receivers: Receivers, dtype: torch.dtype, learn: Collection[str], choices: Chosen
-) -> LayerModule:
+def layer_module(layer: Layer, making: Making) -> LayerModule:
     """The module of a stored layer, by its class."""
     raise InputError(f"a layer of kind '{layer.kind}' has no shader: register one with shade.layer_module.register")
 

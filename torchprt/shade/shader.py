@@ -10,12 +10,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.shade.fixed_light import FixedLightShader
-from torchprt.shade.frames import DeformedFrames
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
-from torchprt.shade.signal import signal_module
+from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Transfer
 
 
@@ -37,7 +37,7 @@ class Shader(nn.Module):
     ):
         """`estimate`: the frames of poses, if all layers follow one."""
         super().__init__()
-        self.layers = nn.ModuleDict(layers)
+        self.layers: Mapping[str, LayerModule] = nn.ModuleDict(layers)  # type: ignore[assignment]
         self.turn = turn
         self.order = turn.order
         self.vertices = vertices
@@ -65,27 +65,25 @@ class Shader(nn.Module):
         If it needs an eye: exactly one of `eye [..., 3]`, a point in the unit of the scene, and `view [..., 3]`, the
         direction toward a distant eye, of any length above zero. If it follows a pose: `frames [..., V, 3, 3]`, the
         rotation of every receiver from the rest pose, or `positions [..., V, 3]` of the deformed mesh, from which they
-        are estimated (`DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is seen
-        from `positions`, so an eye with frames needs both.
+        are estimated (`pose.DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is
+        seen from `positions`, so an eye with frames needs both.
 
         All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they
-        are then applied to the transfer once, and every further light costs what a diffuse one does. Every other eye or
-        pose takes C N V numbers of memory on the way. The result is a view with vertices contiguous, not a permuted
-        copy. `out`: a former result to write over, for loops that must not allocate; of one layer that is stored whole,
-        and without gradients.
+        are then applied once, and a further light costs what a diffuse one does; any other eye or pose takes C N V
+        numbers of memory. The result is a view with vertices contiguous, not a permuted copy. `out`: a former result
+        to write over, for loops that must not allocate; of one layer that is stored whole, and without gradients.
 
-        Raises InputError if the light is not of the order of the transfer, what it needs is not given or what it does
-        not need is, shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or
-        frames are not proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not
-        finite.
+        Raises InputError if the light is of another order, what it needs is not given or what it does not need is,
+        shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or frames are not
+        proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
         """
         self._check(eye, view, frames, positions)
         light = turned_light(light, rotation, self.turn)
-        turned = self.pose(frames, positions)
+        turned = None if frames is None and positions is None else self.pose(frames, positions)
         if out is not None and len(self.layers) != 1:
             raise InputError(f"out cannot be used with {len(self.layers)} layers: leave it out")
         radiance: Tensor | None = None
-        for layer in self._modules_of_layers():
+        for layer in self.layers.values():
             posed = None if turned is None else layer.among(turned, -3)
             values = layer.values(eye, view, posed, positions)
             radiance = layer.spread(layer(light, values, posed, out), radiance, self.vertices)
@@ -107,7 +105,7 @@ class Shader(nn.Module):
         self._check(eye, view, frames, positions)
         turned = self._one_pose(frames, positions)
         total: Tensor | None = None
-        for layer in self._modules_of_layers():
+        for layer in self.layers.values():
             posed = None if turned is None else layer.among(turned, -3)
             values = layer.values(eye, view, posed, positions)
             if values is not None and values.ndim != 2:
@@ -141,7 +139,7 @@ class Shader(nn.Module):
         radiance: Tensor | None = None
         seen: dict[str, LayerModule] = {}
         coefficients: dict[str, Tensor] = {}
-        for name, layer in zip(self.layers, self._modules_of_layers(), strict=True):
+        for name, layer in self.layers.items():
             if "eye" in layer.needs:
                 seen[name] = layer
                 coefficients[name] = layer.under(light) * layer.weight.T.unsqueeze(-2)
@@ -164,7 +162,7 @@ class Shader(nn.Module):
         turned = self._one_pose(frames, positions)
         layers = {
             name: layer.posed(None if turned is None else layer.among(turned, -3), positions)
-            for name, layer in zip(self.layers, self._modules_of_layers(), strict=True)
+            for name, layer in self.layers.items()
         }
         return Shader(layers, self.turn, self.vertices)
 
@@ -201,9 +199,6 @@ class Shader(nn.Module):
         if eye is not None and frames is not None and positions is None:
             raise InputError("eye is a point and frames are given without positions: give positions too, or a view")
 
-    def _modules_of_layers(self) -> list[LayerModule]:
-        return [layer for layer in self.layers.values() if isinstance(layer, LayerModule)]
-
 
 def shader(
     transfer: Transfer, *, dtype: torch.dtype | None = None, learn: Iterable[str] = (), **choices: Any
@@ -236,7 +231,7 @@ def shader(
         for layer in transfer.layers.values():
             dtype = torch.promote_types(dtype, layer.signal.dtype)
     layers = {
-        name: layer_module(layer, transfer.receivers, dtype, learned[name], given)
+        name: layer_module(layer, Making(transfer.receivers, dtype, learned[name], given))
         for name, layer in transfer.layers.items()
     }
     device = transfer.positions.device

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import abc
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
@@ -13,26 +14,36 @@ from torch import Tensor, nn
 
 from torchprt.errors import InputError
 from torchprt.shade.batches import light_product
-from torchprt.transfer import Signal
+from torchprt.transfer import Receivers, Signal
+
+
+@dataclass(frozen=True)
+class Making:
+    """What the modules of a layer and of its signal are made with: the dtype of all that a product reads, names of
+    buffers that become parameters, and what the caller of `shader` chose of the `choices` that they leave open."""
+
+    receivers: Receivers
+    dtype: torch.dtype
+    learn: Collection[str] = ()
+    choices: Mapping[str, Any] = field(default_factory=dict)
 
 
 class SignalModule(nn.Module, abc.ABC):
     """The transfer matrices `[C, M, N]` of G receivers in buffers; M = 1 for transfer vectors.
 
-    A subclass is made from its stored signal as `(signal, dtype, learn, lost, **choices)`: names in `learn` become
-    parameters, receivers in `lost` have nothing, `choices` are those that it names. It must say `toward`; everything
-    else follows from that, and is overridden where there is a faster way.
-    It is registered for the stored signal with `signal_module.register`.
+    A subclass is made from its stored signal as `(signal, making, lost)`: receivers in `lost` have nothing. It must say
+    `toward`; everything else follows from that, and is overridden where there is a faster way. It is registered for the
+    stored signal with `signal_module.register`.
     """
 
     learnable: ClassVar[tuple[str, ...]] = ()
     choices: ClassVar[tuple[str, ...]] = ()
     follows_pose: ClassVar[bool] = False
 
-    @property
-    @abc.abstractmethod
-    def shape(self) -> tuple[int, int, int, int]:
-        """G, C, M, N."""
+    def __init__(self, shape: tuple[int, int, int, int]) -> None:
+        """`shape`: G, C, M, N."""
+        super().__init__()
+        self.shape = shape
 
     @abc.abstractmethod
     def toward(
@@ -51,28 +62,23 @@ class SignalModule(nn.Module, abc.ABC):
         return self.toward(None)[0].mT @ columns
 
     def radiance(
-        self,
-        light: Float[Tensor, "*#B N 3"],
-        values: Float[Tensor, "*#B G M"] | None,
-        frames: Float[Tensor, "*#B G 3 3"] | None = None,
-        *,
-        out: Tensor | None = None,
+        self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None
     ) -> Float[Tensor, "... 3 G"]:
-        """`sum_ij values_i M_ij light_j` in the order that is fastest, `[*B, 3, G]`; `out` as for `light_product`."""
+        """`sum_ij values_i M_ij light_j` in the order that is fastest, `[*B, 3, G]`, of `light [*B, N, 3]`, all else as
+        for `toward`; `out` as for `light_product`."""
         return light_product(light, self.toward(values, frames), out=out)
 
 
 @functools.singledispatch
-def signal_module(
-    signal: Signal, dtype: torch.dtype, learn: Collection[str], lost: Tensor | None, **choices: Any
-) -> SignalModule:
+def signal_module(signal: Signal, making: Making, lost: Tensor | None = None) -> SignalModule:
     """The module of a stored signal, by its class."""
     raise InputError(f"a signal of kind '{signal.kind}' has no shader: register one with shade.signal_module.register")
 
 
-def hold(module: nn.Module, name: str, value: Tensor, learned: bool) -> None:
-    """Makes a buffer of `value`, or a parameter, which is a copy."""
-    if learned:
+def hold(module: nn.Module, name: str, value: Tensor, making: Making) -> None:
+    """Makes a buffer of `value` in the dtype of the shader, or a parameter, which is a copy, if it is to be learned."""
+    value = value.detach().to(making.dtype)
+    if name in making.learn:
         module.register_parameter(name, nn.Parameter(value.clone()))
     else:
         module.register_buffer(name, value)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,9 +9,9 @@ from torch import Tensor
 from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
 from torchprt.shade.batches import light_product
 from torchprt.shade.eye_layer import EyeLayerModule
-from torchprt.shade.layer import Chosen, layer_module
-from torchprt.shade.signal import hold
-from torchprt.transfer import Receivers, Visibility
+from torchprt.shade.layer import layer_module
+from torchprt.shade.signal import Making, hold
+from torchprt.transfer import Visibility
 
 
 @layer_module.register(Visibility)
@@ -32,19 +30,12 @@ class VisibilityLayer(EyeLayerModule):
     functions: Tensor
     harmonics: Tensor
 
-    def __init__(
-        self,
-        layer: Visibility,
-        receivers: Receivers,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        choices: Chosen | None = None,
-    ):
-        super().__init__(layer, receivers, dtype, learn, choices)
-        hold(self, "kernel", layer.kernel.detach().to(dtype), "kernel" in learn)
+    def __init__(self, layer: Visibility, making: Making):
+        super().__init__(layer, making)
+        hold(self, "kernel", layer.kernel, making)
         self.exit_order = layer.output_order
         self.projection = layer.projection
-        self.turn = Rotation(layer.order, dtype).to(layer.kernel.device)
+        self.turn = Rotation(layer.order, making.dtype).to(layer.kernel.device)
         nodes, _ = gauss_legendre_hemisphere(layer.degree)
         tables = {"functions": hemisphere_basis(nodes, layer.visibility_order), "harmonics": basis(nodes, layer.order)}
         for name, table in tables.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Literal, get_args
 
 import torch
@@ -13,7 +12,7 @@ from torch.nn.functional import normalize
 from torchprt.errors import InputError
 from torchprt.shade.batches import light_product
 from torchprt.shade.lobes import lobe_vectors, table_radiance, turned_axes, turned_exact
-from torchprt.shade.signal import SignalModule, hold, signal_module
+from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Zonal
 
 Method = Literal["direct", "table"]
@@ -43,33 +42,20 @@ class ZonalSignal(SignalModule):
     coefficients: Tensor
     exact: Tensor
 
-    def __init__(
-        self,
-        signal: Zonal,
-        dtype: torch.dtype,
-        learn: Collection[str] = (),
-        lost: Tensor | None = None,
-        *,
-        method: Method = "direct",
-    ):
-        super().__init__()
-        if method not in get_args(Method):
-            raise InputError(f"method '{method}' is unknown: use 'direct' or 'table'")
-        self.method = method
+    def __init__(self, signal: Zonal, making: Making, lost: Tensor | None = None):
+        super().__init__(signal.shape)
+        self.method: Method = making.choices.get("method", "direct")
+        if self.method not in get_args(Method):
+            raise InputError(f"method '{self.method}' is unknown: use 'direct' or 'table'")
         for name in self.learnable:
-            value = getattr(signal, name).detach()
+            value = getattr(signal, name)
             if name == "axis":
                 # Of unit length again if they were stored in half precision.
                 half = value.dtype in (torch.float16, torch.bfloat16)
                 value = normalize(value.double(), dim=2) if half else value
             elif lost is not None:
                 value = value.index_fill(-1, lost, 0)
-            hold(self, name, value.to(dtype), name in learn)
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        channels, rows, _, bands, receivers = self.coefficients.shape
-        return receivers, channels, rows, (bands + (2 if self.exact.shape[2] else 0)) ** 2
+            hold(self, name, value, making)
 
     def lobes(
         self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None
@@ -93,18 +79,11 @@ class ZonalSignal(SignalModule):
         axes = turned_axes(axis.flatten(0, 1), frames)
         return _beside(axes, batch) if frames is None else axes, weights, low
 
-    def toward(
-        self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None = None
-    ) -> Float[Tensor, "C N ..."]:
+    def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         return lobe_vectors(*self.lobes(values, frames))
 
     def radiance(
-        self,
-        light: Float[Tensor, "*#B N 3"],
-        values: Float[Tensor, "*#B G M"] | None,
-        frames: Float[Tensor, "*#B G 3 3"] | None = None,
-        *,
-        out: Tensor | None = None,
+        self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None
     ) -> Float[Tensor, "... 3 G"]:
         lobes = self.lobes(values, frames)
         if self.method == "table":

@@ -1,7 +1,5 @@
 """Rays against triangles: Embree through embreex, and nothing of transfer."""
 
-from .tracer import OFFSET as OFFSET
-from .tracer import Hits as Hits
-from .tracer import Tracer as Tracer
+from .tracer import OFFSET, Hits, Tracer
 
 __all__ = ["OFFSET", "Hits", "Tracer"]

@@ -14,7 +14,7 @@ from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.transfer.dense import Dense
-from torchprt.transfer.layout import FLOATS, WHOLE, Layout, bytes_of
+from torchprt.transfer.layout import FLOATS, WHOLE, Layout
 from torchprt.transfer.signal import Signal, check_counts, columns_of
 
 _LABELS = (torch.uint8, torch.int16, torch.int32, torch.int64)
@@ -52,6 +52,8 @@ class Clustered(Signal):
         "squared_error": Layout(("G",)),
     }
 
+    stored: ClassVar[tuple[str, ...]] = ("mean", "basis", "shared", "low", "step")
+
     label: Tensor
     weights: Tensor
     mean: Tensor
@@ -88,19 +90,6 @@ class Clustered(Signal):
     def shape(self) -> tuple[int, int, int, int]:
         _, channels, rows, columns = self.shared.shape
         return len(self.label), channels, rows, columns
-
-    @property
-    def dtype(self) -> torch.dtype:
-        return self.mean.dtype
-
-    @property
-    def stored_as(self) -> str:
-        return str(self.weights.dtype).removeprefix("torch.")
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of labels, weights and representatives: what those of the dense signal were lowered to."""
-        return super().bytes - bytes_of(self.squared_error)
 
     @property
     def counts(self) -> Int[Tensor, "K"]:
@@ -153,10 +142,6 @@ class Clustered(Signal):
         values = matrices[:, :, 0].permute(1, 2, 0) if rows == 1 else matrices.transpose(0, 1)
         return Dense(values=values.contiguous())
 
-    def to(self, dtype: torch.dtype) -> Clustered:
-        names = ("mean", "basis", "shared", "low", "step")
-        return self.replace(**{name: getattr(self, name).to(dtype) for name in names})
-
     def to_order(self, order: int) -> Clustered:
         count = columns_of(order, math.isqrt(self.shape[3]))
         return self._mapped(lambda signal: signal[..., :count])
@@ -176,18 +161,6 @@ class Clustered(Signal):
     def combined(self, rows: Float[Tensor, "R M"]) -> Clustered:
         """`squared_error` stays that of the former rows."""
         return self._mapped(lambda signal: (rows @ signal.double()).to(signal.dtype))
-
-    def summary(self) -> list[str]:
-        about = f"{len(self.mean)} clusters ({self.method}), {len(self.basis) / len(self.mean):.3g} PCA vectors each"
-        about += f", compression error {self.compression_error or 0:.2%} (relative RMS)"
-        if len(self.shared):
-            about += f", in {len(self.shared)} shared axes"
-        squared = self.squared_error.double()
-        worst = float(squared.max() / squared.mean()) ** 0.5 if float(squared.sum()) else 1.0
-        sizes = {"labels": bytes_of(self.label), "weights": bytes_of(self.weights)}
-        sizes["representatives"] = self.bytes - sum(sizes.values())
-        told = ", ".join(f"{name} {size / 2**20:.2f} MB" for name, size in sizes.items())
-        return [about, f"{told}, worst vertex {worst:.1f} times the RMS"]
 
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, or labels, offsets and weights do not fit together."""

@@ -28,6 +28,7 @@ class Dense(Signal):
 
     kind: ClassVar[str] = "dense"
     layouts: ClassVar[dict[str, Layout]] = {"values": Layout(("C", "N", "G"))}
+    stored: ClassVar[tuple[str, ...]] = ("values",)
     approximates: ClassVar[bool] = False
 
     values: Tensor
@@ -50,13 +51,6 @@ class Dense(Signal):
             return receivers, channels, 1, columns
         channels, receivers, rows, columns = self.values.shape
         return receivers, channels, rows, columns
-
-    @property
-    def dtype(self) -> torch.dtype:
-        return self.values.dtype
-
-    def to(self, dtype: torch.dtype) -> Dense:
-        return Dense(values=self.values.to(dtype))
 
     def to_order(self, order: int) -> Dense:
         count = columns_of(order, math.isqrt(self.shape[3]))

@@ -29,9 +29,6 @@ CONVENTIONS = (
 )
 _PROVENANCE = [field.name for field in dataclasses.fields(Transfer) if field.name not in ("receivers", "layers")]
 
-# What a part of a file is read by: the tensor of a name, in its part of the metadata.
-Read = Callable[[str], Tensor]
-
 
 def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     """Writes a transfer to `path` (`.safetensors`); a reader never sees half of it.
@@ -84,7 +81,7 @@ def load(path: str | os.PathLike[str]) -> Transfer:
         raise InputError(f"{path} is not a whole safetensors file ({fault}): bake it again") from fault
 
 
-def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Read) -> Transfer:
+def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Callable[[str], Tensor]) -> Transfer:
     if "kind" not in metadata or "format" not in metadata:
         raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
     if not metadata["format"].isdigit() or int(metadata["format"]) > FORMAT:
@@ -127,7 +124,7 @@ def _part(
     family: dict[str, type[Any]],
     what: str,
     said: dict[str, Any],
-    tensor: Read,
+    tensor: Callable[[str], Tensor],
     names: set[str],
     prefix: str,
     **parts: Part,

@@ -3,6 +3,7 @@ written."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -20,18 +21,7 @@ from torchprt.transfer.transfer import Transfer
 from torchprt.transfer.zonal import Zonal
 
 _CLUSTERS = ("label", "weights", "mean", "basis", "offsets", "low", "step", "squared_error")
-# Kind of layer: its class, the tensor that was its dense signal, other tensors, other metadata.
-_EYE: dict[str, tuple[type[EyeLayer], str, tuple[str, ...], tuple[str, ...]]] = {
-    "glossy": (Exit, "matrix", (), ("output_order", "projection", "exit_error")),
-    "factored": (Factored, "matrix", ("factors",), ("factor_error",)),
-    "incident": (Incident, "matrix", (), ()),
-    "visibility": (
-        Visibility,
-        "visibility",
-        ("kernel",),
-        ("degree", "output_order", "projection", "exit_error", "product_error"),
-    ),
-}
+_EYE: dict[str, type[EyeLayer]] = {"glossy": Exit, "factored": Factored, "incident": Incident, "visibility": Visibility}
 
 
 def from_format1(
@@ -59,18 +49,15 @@ def from_format1(
         below = _diffuse_below(stored, tensor, entry)
         if below is not None:
             layers["diffuse"] = Diffuse(albedo=tensor("albedo"), signal=below)
-        made, dense, tensors, fields = _EYE[name]
-        more: dict[str, Any] = {each: tensor(each) for each in tensors} | {each: entry(each) for each in fields}
+        made = _EYE[name]
+        fields = {field.name for field in dataclasses.fields(made)} - {*made.layouts, "signal", "light_order"}
+        more: dict[str, Any] = {each: tensor(each) for each in made.layouts if each != "receivers"}
+        more |= {each: entry(each) for each in fields}
         if made is Visibility:
             more["light_order"] = round(tensor("diffuse").shape[1] ** 0.5)
-        layers[Exit.kind if name == "glossy" else name] = made(
-            signal=_signal(stored, dense, name != "visibility", tensor, entry),
-            receivers=tensor("glossy"),
-            tangents=tensor("tangents"),
-            specular=tensor("specular"),
-            materials=entry("materials"),
-            **more,
-        )
+        dense = "visibility" if made is Visibility else "matrix"
+        signal = _signal(stored, dense, made is not Visibility, tensor, entry)
+        layers[made.kind] = made(signal=signal, receivers=tensor("glossy"), **more)
     return Transfer(receivers=receivers, layers=layers, **provenance)
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices, check_unit_weights
+from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, bytes_of, check_indices
 from torchprt.transfer.signal import Signal
 
 L = TypeVar("L", bound="Layer")
@@ -57,8 +57,9 @@ class Layer(Part, abc.ABC):
 
     @property
     def bytes(self) -> int:
-        """Bytes of its transfer and tables, which is what compression lowers."""
-        return self.signal.bytes
+        """Bytes of its transfer and of tables that all receivers share."""
+        tables = (value for name, value in self.tensors().items() if not self.layouts[name].shape[0].startswith("G"))
+        return self.signal.bytes + bytes_of(*tables)
 
     def index(self, count: int) -> Int[Tensor, "G"]:
         """The numbers of its receivers among `count`."""
@@ -79,20 +80,16 @@ class Layer(Part, abc.ABC):
         rows = {
             name: getattr(self, name)[index]
             for name, layout in self.layouts.items()
-            if layout.shape[0].split("|")[0] == "G" and name != "receivers" and len(getattr(self, name)) > 1
+            if layout.shape[0].startswith("G") and name != "receivers" and len(getattr(self, name)) > 1
         }
         return self.replace(signal=self.signal.take(index), receivers=receivers, **rows)
-
-    @property
-    def functions(self) -> str:
-        """What its rows are weighted with, for people; nothing where there is one row and no eye."""
-        return ""
 
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, the weight leaves [0, 1], or `receivers` do not ascend."""
         super().check(of)
         self.signal.check(f"{of}signal.")
-        check_unit_weights(self.weight_name, self.weight)
+        if self.weight.numel() and (self.weight.min() < 0 or self.weight.max() > 1):
+            raise InputError(f"{self.weight_name} of the transfer is outside [0, 1]: bake it again")
         chosen = self.receivers
         if chosen is not None and len(chosen) > 1 and not bool((chosen[1:] > chosen[:-1]).all()):
             raise InputError(
@@ -128,9 +125,6 @@ class Diffuse(Layer):
 
     albedo: Tensor
 
-    def summary(self) -> list[str]:
-        return [f"albedo {weight_text(self.albedo)}"]
-
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.signal.shape[2] != 1:
@@ -160,13 +154,3 @@ class EyeLayer(Layer):
     tangents: Tensor
     specular: Tensor
     materials: list[str] = field(default_factory=list)
-
-    def summary(self) -> list[str]:
-        return [f"materials {', '.join(self.materials) or 'none'}, specular {weight_text(self.specular)}"]
-
-
-def weight_text(weight: Float[Tensor, "#G #3"]) -> str:
-    """A weight for people."""
-    if len(weight) == 1:
-        return ", ".join(f"{value:.3g}" for value in weight[0].tolist())
-    return "of every vertex, mean ({:.4g}, {:.4g}, {:.4g})".format(*weight.float().expand(-1, 3).mean(0).tolist())

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layer import EyeLayer
-from torchprt.transfer.layout import REAL, Layout, bytes_of
+from torchprt.transfer.layout import REAL, Layout
 from torchprt.transfer.signal import columns_of
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
@@ -41,13 +41,6 @@ class Exit(EyeLayer):
         super().__post_init__()
         _check_rows("signal", self.signal.shape[2], self.output_order, self.projection)
 
-    @property
-    def functions(self) -> str:
-        return f"output order {self.output_order} ({self.projection})"
-
-    def summary(self) -> list[str]:
-        return super().summary() + _held(self.materials, self.output_order, self.exit_error)
-
 
 @dataclass(kw_only=True)
 class Factored(EyeLayer):
@@ -74,18 +67,6 @@ class Factored(EyeLayer):
                 f"{self.signal.shape[2]} rows, one is needed for each"
             )
 
-    @property
-    def bytes(self) -> int:
-        return super().bytes + bytes_of(self.factors)
-
-    @property
-    def functions(self) -> str:
-        return f"{len(self.factors)} factors"
-
-    def summary(self) -> list[str]:
-        held = f"{len(self.factors)} factors hold the material to {self.factor_error or 0:.2%}"
-        return super().summary() + ([] if self.factor_error is None else [held])
-
 
 @dataclass(kw_only=True)
 class Incident(EyeLayer):
@@ -111,13 +92,6 @@ class Incident(EyeLayer):
     def output_order(self) -> int:
         """Number of SH bands of transferred incident radiance."""
         return math.isqrt(self.signal.shape[2])
-
-    @property
-    def functions(self) -> str:
-        return f"incident radiance of order {self.output_order}"
-
-    def summary(self) -> list[str]:
-        return [*super().summary(), "the reflectance is chosen when it is shaded, that of bounces excepted"]
 
 
 @dataclass(kw_only=True)
@@ -167,30 +141,9 @@ class Visibility(EyeLayer):
         """Number of bands of visibility."""
         return math.isqrt(self.signal.shape[3])
 
-    @property
-    def bytes(self) -> int:
-        return super().bytes + bytes_of(self.kernel)
-
-    @property
-    def functions(self) -> str:
-        return f"visibility order {self.visibility_order}, output order {self.output_order} ({self.projection})"
-
-    def summary(self) -> list[str]:
-        lines = super().summary() + _held(self.materials, self.output_order, self.exit_error)
-        if self.product_error is not None:
-            lines.append(f"visibility of order {self.visibility_order} costs {self.product_error:.2%} of radiance")
-        return lines
-
     def to_order(self, order: int) -> Visibility:
         columns_of(order, self.light_order)
         return dataclasses.replace(self, light_order=order)
-
-
-def _held(materials: list[str], output_order: int, exit_error: float | None) -> list[str]:
-    if exit_error is None:
-        return []
-    worst = ", ".join(materials) or "none" if len(materials) < 2 else "the worst material"
-    return [f"exit functions of order {output_order} hold {worst} to {exit_error:.2%}"]
 
 
 def _check_rows(name: str, rows: int, output_order: int, projection: str) -> None:

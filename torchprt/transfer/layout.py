@@ -96,10 +96,6 @@ class Part:
                     f"tensor '{of}{name}' of the transfer holds {bad} NaN or infinite values: bake it again"
                 )
 
-    def summary(self) -> list[str]:
-        """Lines for people about what it holds, and what that loses."""
-        return []
-
     def replace(self: P, **changes: Any) -> P:
         """The same with other values in some fields."""
         return dataclasses.replace(self, **changes)
@@ -107,12 +103,6 @@ class Part:
 
 def bytes_of(*tensors: Tensor) -> int:
     return sum(each.numel() * each.element_size() for each in tensors)
-
-
-def check_unit_weights(name: str, weights: Tensor) -> None:
-    """InputError unless all are in [0, 1]."""
-    if weights.numel() and (weights.min() < 0 or weights.max() > 1):
-        raise InputError(f"{name} of the transfer is outside [0, 1]: bake it again")
 
 
 def check_indices(name: str, index: Tensor, count: int) -> None:

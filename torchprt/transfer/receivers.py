@@ -33,9 +33,6 @@ class Receivers(Part, abc.ABC):
         """Values of the receivers in the order that they have in what was baked."""
         return values
 
-    def summary(self) -> list[str]:
-        return [f"{self.count} receivers, {len(self.faces)} faces"]
-
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
@@ -107,10 +104,6 @@ class Texels(Receivers):
 
     def metadata(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("rows", "columns", "tiles_u", "tiles_v")}
-
-    def summary(self) -> list[str]:
-        tiles = "tiles" if self.tiles_u and self.tiles_v else "a single patch"
-        return [f"map of {self.rows} x {self.columns} texels, {tiles}"]
 
     def as_texels(self) -> Texels:
         return self

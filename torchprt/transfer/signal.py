@@ -25,11 +25,13 @@ class Signal(Part, abc.ABC):
     """The transfer matrices `[C, M, N]` of G receivers, M = 1 for transfer vectors.
 
     C is 1 unless light bounced off coloured surfaces, then 3. N are coefficients of the light, or of whatever the layer
-    says that they are. `approximates`: it is what compression made, and is not compressed again. `follows_pose`: it
-    turns with a surface that deforms.
+    says that they are. `stored`: the tensors of numbers, most of the bytes first, which may be of any float dtype.
+    `approximates`: it is what compression made, and is not compressed again. `follows_pose`: it turns with a surface
+    that deforms.
     """
 
     family: ClassVar[dict[str, type[Any]]] = {}
+    stored: ClassVar[tuple[str, ...]]
     approximates: ClassVar[bool] = True
     follows_pose: ClassVar[bool] = False
 
@@ -39,23 +41,19 @@ class Signal(Part, abc.ABC):
         """G, C, M, N."""
 
     @property
-    @abc.abstractmethod
     def dtype(self) -> torch.dtype:
-        """That most of the bytes are in."""
-
-    @property
-    def stored_as(self) -> str:
-        """What most of the bytes are, for people."""
-        return str(self.dtype).removeprefix("torch.")
+        """Of the numbers."""
+        value: Tensor = getattr(self, self.stored[0])
+        return value.dtype
 
     @property
     def bytes(self) -> int:
-        """Bytes of what is stored."""
-        return bytes_of(*self.tensors().values())
+        """Bytes of what is stored, but for what is told of errors."""
+        return bytes_of(*(value for name, value in self.tensors().items() if name != "squared_error"))
 
-    @abc.abstractmethod
     def to(self: S, dtype: torch.dtype) -> S:
         """The same stored as `dtype` (float16 and bfloat16 halve the bytes)."""
+        return self.replace(**{name: getattr(self, name).to(dtype) for name in self.stored})
 
     @abc.abstractmethod
     def to_order(self: S, order: int) -> S:

@@ -49,8 +49,8 @@ class Transfer:
         if not self.layers:
             raise InputError("the transfer has no layer: give one or more")
         for name, layer in self.layers.items():
-            if not name.isidentifier():
-                raise InputError(f"layer '{name}' of the transfer: give it a name of letters, digits and underscores")
+            if not name.isidentifier() or hasattr(torch.nn.ModuleDict, name):
+                raise InputError(f"layer '{name}' of the transfer: give it another name, a plain word")
             layer.check_among(self.vertices)
         orders = {layer.order for layer in self.layers.values()}
         if len(orders) > 1:
@@ -106,7 +106,7 @@ class Transfer:
         return self.receivers.faces
 
     @property
-    def albedo(self) -> Float[Tensor, "#V #3"]:
+    def albedo(self) -> Float[Tensor, "_ _"]:
         """That of the diffuse layer, zero if there is none."""
         found = [layer for layer in self.layers.values() if isinstance(layer, Diffuse) and layer.receivers is None]
         return found[0].albedo if found else torch.zeros(1, 1, device=self.positions.device)
@@ -148,7 +148,7 @@ class Transfer:
 
 def diffuse_transfer(
     vectors: Float[Tensor, "C N V"],
-    albedo: Float[Tensor, "#V #3"],
+    albedo: Float[Tensor, "_ _"],
     positions: Float[Tensor, "V 3"],
     normals: Float[Tensor, "V 3"],
     faces: Int[Tensor, "F 3"],

@@ -10,7 +10,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transfer.layout import Layout, bytes_of
+from torchprt.transfer.layout import Layout
 from torchprt.transfer.signal import Signal, check_counts, columns_of
 
 
@@ -42,6 +42,7 @@ class Zonal(Signal):
         "exact": Layout(("C", "M", "J", "G")),
         "squared_error": Layout(("G",)),
     }
+    stored: ClassVar[tuple[str, ...]] = ("coefficients", "axis", "exact")
     follows_pose: ClassVar[bool] = True
 
     axis: Tensor
@@ -75,18 +76,6 @@ class Zonal(Signal):
         channels, rows, _, _, receivers = self.coefficients.shape
         return receivers, channels, rows, self.order**2
 
-    @property
-    def dtype(self) -> torch.dtype:
-        return self.coefficients.dtype
-
-    @property
-    def bytes(self) -> int:
-        """Bytes of axes and coefficients."""
-        return super().bytes - bytes_of(self.squared_error)
-
-    def to(self, dtype: torch.dtype) -> Zonal:
-        return self.replace(**{name: getattr(self, name).to(dtype) for name in ("axis", "coefficients", "exact")})
-
     def to_order(self, order: int) -> Zonal:
         """InputError below order 2 with `exact`, which would have to be cut."""
         apart = 2 if self.exact.shape[2] else 0
@@ -97,15 +86,6 @@ class Zonal(Signal):
         return self.replace(
             **{name: value.index_select(-1, index).contiguous() for name, value in self.tensors().items()}
         )
-
-    def summary(self) -> list[str]:
-        each = "vertex" if self.shape[2] == 1 else "row"
-        about = f"{self.lobes} {'lobe' if self.lobes == 1 else 'lobes'} a {each}"
-        if self.exact.shape[2]:
-            about += ", bands 0 and 1 exact"
-        if self.smooth:
-            about += ", lobes of neighbours correspond"
-        return [about if self.fit_error is None else f"{about}, fit error {self.fit_error:.2%} (relative RMS)"]
 
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, or an axis is not of unit length within 1e-4 (or the rounding

@@ -2,20 +2,23 @@
 
 from torchprt.checkpoint import CheckpointWarning as CheckpointWarning
 
-from .bake import bake as bake
-from .bake_glossy import OrderWarning as OrderWarning
-from .diffuse import unshadowed as unshadowed
-from .directions import frames as frames
-from .directions import hemisphere as hemisphere
-from .membrane_lobes import membrane_lobes as membrane_lobes
-from .patch import bake_patch as bake_patch
-from .patch import patch_transfer as patch_transfer
-from .wrinkle import groove_transfer as groove_transfer
-from .wrinkle import wrinkle as wrinkle
+from .bake import bake
+from .bake_glossy import OrderWarning
+from .diffuse import unshadowed
+from .directions import frames, hemisphere
+from .membrane_lobes import membrane_lobes
+from .patch import bake_patch, patch_transfer
+from .task import Runner, Task
+from .workers import Processes, Threads
+from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
     "OrderWarning",
+    "Processes",
+    "Runner",
+    "Task",
+    "Threads",
     "bake",
     "bake_patch",
     "frames",

@@ -24,23 +24,16 @@ from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
+from torchprt.transport.diffuse_tasks import Job, Record
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.progress import Bar
 from torchprt.transport.receivers import Receivers
-from torchprt.transport.solve import (
-    Job,
-    Solution,
-    every_chunk,
-    exit_radiance,
-    gathered,
-    solve,
-    surfaces,
-    trace,
-    vertex_receivers,
-)
-from torchprt.transport.workers import CHUNK, Workers, chunks
+from torchprt.transport.solve import Solution, exit_radiance, solve, surfaces, trace, vertex_receivers
+from torchprt.transport.stages import Stages
+from torchprt.transport.task import CHUNK, Runner, chunks
+from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
 
@@ -54,6 +47,7 @@ def bake(
     receivers: Points | None = None,
     seed: int = 0,
     threads: int | None = None,
+    runner: Runner | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
     progress: bool | Report = True,
@@ -70,6 +64,7 @@ def bake(
     - `bounces`: 0 for shadows alone, a count, or `math.inf` to follow light until a bounce adds less than 1e-4 of
       the transfer. `shadows=False` gives the closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
+    - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
@@ -87,8 +82,8 @@ def bake(
     Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
 
     Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
-    `threads` and after any interruption; a receiver that nothing blocks has exactly the unshadowed transfer; the
-    result does not depend on the scale of the scene or on its distance from the origin.
+    `threads`, any `runner` and after any interruption; a receiver that nothing blocks has exactly the unshadowed
+    transfer; the result does not depend on the scale of the scene or on its distance from the origin.
     The error estimate comes from a spread of receivers traced again with 8 times the rays.
     Memory: the tensors of the scene, Embree's tree, `4 V N C` bytes for the result (four times that with bounces),
     some 550 V of copies that live for a moment and `224 N rays` of the basis along the directions of the estimate;
@@ -103,7 +98,7 @@ def bake(
     KeyboardInterrupt after the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
-    _check(order, rays, bounces, shadows, seed, threads)
+    _check(order, rays, bounces, shadows, seed, threads, runner)
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
@@ -128,13 +123,16 @@ def bake(
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
-        workers = stack.enter_context(Workers(threads or os.cpu_count() or 1))
+        stack.enter_context(torch_on_one_thread())
         store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        if runner is None:
+            runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
+        stages = Stages(runner, report, store)
         baked: Transfer
         if is_glossy and receivers is None:
-            baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, store, workers, report)
+            baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, stages)
         else:
-            baked = _diffuse(job, geometry, receivers, wanted, bounces, store, workers, report)
+            baked = _diffuse(job, geometry, receivers, wanted, bounces, stages)
         if store is not None and not keep:
             store.discard()
     return baked
@@ -146,21 +144,19 @@ def _diffuse(
     receivers: Points | None,
     wanted: Wanted,
     bounces: int | float,
-    store: Checkpoint | None,
-    workers: Workers,
-    report: Report,
+    stages: Stages,
 ) -> Transfer:
     if receivers is None:
-        solution = solve(job, geometry.albedo, bounces, store, workers, report)
-        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+        solution = solve(job, geometry.albedo, bounces, stages)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
     elif bounces and len(geometry.glossy):
         origins = job.tracer.origins(receivers.positions, receivers.normals)
         points = Receivers(receivers.positions, receivers.normals, origins)
-        transfer, count = bake_glossy.bake_points(job, points, geometry, wanted, bounces, store, workers, report)
+        transfer, count = bake_glossy.bake_points(job, points, geometry, wanted, bounces, stages)
         solution, error, signal = Solution(transfer, transfer, None, count), None, None
     else:
-        job, solution = _at_points(job, receivers, geometry.albedo, bounces, store, workers, report)
-        error, signal = error_and_signal(job, solution.arriving, solution.exitant, workers, report)
+        job, solution = _at_points(job, receivers, geometry.albedo, bounces, stages)
+        error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
     return result.diffuse(
         geometry,
         receivers,
@@ -174,7 +170,15 @@ def _diffuse(
     )
 
 
-def _check(order: int, rays: int, bounces: int | float, shadows: bool, seed: int, threads: int | None) -> None:
+def _check(
+    order: int,
+    rays: int,
+    bounces: int | float,
+    shadows: bool,
+    seed: int,
+    threads: int | None,
+    runner: Runner | None,
+) -> None:
     if not 1 <= order <= 64:
         raise InputError(f"order is {order}: give a number from 1 to 64")
     if not 1 <= rays <= 1 << 22:
@@ -187,39 +191,25 @@ def _check(order: int, rays: int, bounces: int | float, shadows: bool, seed: int
         raise InputError(f"seed is {seed}: give a number from 0")
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: give at least 1")
+    if threads is not None and runner is not None:
+        raise InputError("threads and a runner are both given: leave one of the two out")
 
 
-def _at_points(
-    job: Job,
-    points: Points,
-    albedo: Tensor,
-    bounces: int | float,
-    store: Checkpoint | None,
-    workers: Workers,
-    report: Report,
-) -> tuple[Job, Solution]:
+def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, stages: Stages) -> tuple[Job, Solution]:
     """Transfer at points: all bounces but the last run over the vertices, the last gathers to the points."""
     origins = job.tracer.origins(points.positions, points.normals)
     here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins))
     if not bounces:
-        transfer = trace(here, store, workers, report, keep_hits=False)[None]
+        transfer = trace(here, stages, keep_hits=False)[None]
         return here, Solution(transfer, transfer)
-    assert store is not None
-    over_vertices = solve(job, albedo, bounces - 1, store, workers, report)
+    over_vertices = solve(job, albedo, bounces - 1, stages)
     exitant = exit_radiance(over_vertices.transfer.expand(job.channels, -1, -1), albedo)
-    directions, project = here.directions()
-    everything = chunks(len(here.receivers))
+    tasks = [Record(rows, job.rays, job.seed) for rows in chunks(len(here.receivers))]
     transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
-
-    def one(index: int) -> dict[str, Tensor]:
-        return {"transfer": gathered(here, everything[index], exitant, directions, project)}
-
-    def take(index: int, contents: dict[str, Tensor]) -> None:
-        transfer[:, :, everything[index]] = contents["transfer"]
-
     # The store numbers the chunks of the points after those of the vertices.
     first = len(chunks(len(job.receivers)))
-    every_chunk(len(here.receivers), job.rays, one, take, store, workers, report, stage="points", first=first)
+    for task, found in stages.run("points", tasks, here, exitant, first=first):
+        transfer[:, :, task.index] = found["transfer"]
     return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1)
 
 

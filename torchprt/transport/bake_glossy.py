@@ -11,23 +11,24 @@ from torch import Tensor
 
 from torchprt.brdf import exit_error, factor
 from torchprt.errors import InputError
-from torchprt.progress import Report
 from torchprt.scene import Geometry
 from torchprt.sh import Projection, exit_count
 from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Layer, Transfer, Visibility
 from torchprt.transport import result
-from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
+from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import glossy_error_and_signal
 from torchprt.transport.glossy import glossy
+from torchprt.transport.glossy_tasks import GlossyJob, GlossyRecord
 from torchprt.transport.membrane import Sheets
 from torchprt.transport.receivers import Receivers, tangent_frames
 from torchprt.transport.rows import Recording
-from torchprt.transport.solve import Job, channels_first, every_chunk
-from torchprt.transport.solve_glossy import GlossyJob, exitant, record, solve
+from torchprt.transport.solve import channels_first
+from torchprt.transport.solve_glossy import exitant, solve
+from torchprt.transport.stages import Stages
+from torchprt.transport.task import chunks
 from torchprt.transport.visibility import on_the_fly, product_error
-from torchprt.transport.workers import Workers, chunks
 from torchprt.version import VERSION
 
 Frame = Literal["exit", "incident", "visibility"]
@@ -109,20 +110,12 @@ def job_of(job: Job, geometry: Geometry, recording: Recording) -> GlossyJob:
     return GlossyJob(job, everything, recording, geometry.albedo, geometry.specular)
 
 
-def bake_vertices(
-    job: Job,
-    geometry: Geometry,
-    wanted: Wanted,
-    bounces: int | float,
-    store: Checkpoint | None,
-    workers: Workers,
-    report: Report,
-) -> Transfer:
+def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | float, stages: Stages) -> Transfer:
     """Transfer at the vertices of a scene that has glossy ones."""
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
-    solution = solve(task, bounces, store, workers, report)
-    error, signal = glossy_error_and_signal(task, solution, workers, report)
+    solution = solve(task, bounces, stages)
+    error, signal = glossy_error_and_signal(task, solution, stages)
     transfer = _transfer(
         geometry,
         wanted,
@@ -165,34 +158,19 @@ def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Shee
 
 
 def bake_points(
-    job: Job,
-    points: Receivers,
-    geometry: Geometry,
-    wanted: Wanted,
-    bounces: int | float,
-    store: Checkpoint | None,
-    workers: Workers,
-    report: Report,
+    job: Job, points: Receivers, geometry: Geometry, wanted: Wanted, bounces: int | float, stages: Stages
 ) -> tuple[Tensor, int]:
     """Diffuse transfer `[C, N, points]` at points among glossy surfaces, and the bounces that it holds."""
     wanted = dataclasses.replace(wanted, frame="exit", projection="optimal", factors=None)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
-    solution = solve(task, bounces - 1, store, workers, report)
+    solution = solve(task, bounces - 1, stages)
     sent = exitant(task, solution.arrived)
-    set_of = task.tables(task.recording)
-    everything = chunks(len(points))
+    tasks = [GlossyRecord(rows, job.rays, job.seed) for rows in chunks(len(points))]
     transfer = torch.empty(len(points), job.channels * job.order**2)
     # The store numbers the chunks of the points after those of the vertices.
     first = len(chunks(len(job.receivers)))
-
-    def one(index: int) -> dict[str, Tensor]:
-        here = points[everything[index]]
-        return {"transfer": record(task, here, torch.full((len(here),), -1), sent, set_of)[0]}
-
-    def take(index: int, contents: dict[str, Tensor]) -> None:
-        transfer[everything[index]] = contents["transfer"]
-
-    every_chunk(len(points), job.rays, one, take, store, workers, report, stage="points", first=first)
+    for chunk, found in stages.run("points", tasks, task, sent, points, first=first):
+        transfer[chunk.index] = found["transfer"]
     return channels_first(transfer, job.channels), solution.bounces + 1
 
 

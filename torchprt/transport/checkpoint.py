@@ -17,7 +17,37 @@ from torchprt.errors import InputError
 from torchprt.files import atomic
 
 
-class Checkpoint:
+class Folder:
+    """Chunks in a folder, a file each: `Results` for all who see the folder."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def path(self, number: int) -> Path:
+        return self.folder / f"chunk-{number:07d}.safetensors"
+
+    def save(self, number: int, tensors: dict[str, Tensor]) -> None:
+        with atomic(self.path(number)) as path:
+            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
+
+    def load(self, number: int) -> dict[str, Tensor] | None:
+        """The tensors of a chunk (memory-mapped), or None if it is not there or was damaged by a crash."""
+        if not self.path(number).exists():
+            return None
+        try:
+            return load_file(self.path(number))
+        except (SafetensorError, OSError):
+            return None
+
+    def read(self, number: int) -> dict[str, Tensor]:
+        """The tensors of a chunk that was saved before. Raises InputError if it is not there any more."""
+        contents = self.load(number)
+        if contents is None:
+            raise InputError(f"{self.path(number)} vanished or was damaged during the bake: run it again")
+        return contents
+
+
+class Checkpoint(Folder):
     """A folder with one file a chunk and the fingerprint of the bake that they belong to.
 
     With `folder=None` it is a temporary one that `close` removes; otherwise it stays until `discard`. A folder left
@@ -27,7 +57,7 @@ class Checkpoint:
 
     def __init__(self, folder: Path | None, fingerprint: str):
         self._temporary = tempfile.TemporaryDirectory(prefix="torchprt-") if folder is None else None
-        self.folder = Path(self._temporary.name) if self._temporary else Path(folder or "")
+        super().__init__(Path(self._temporary.name) if self._temporary else Path(folder or ""))
         manifest = self.folder / "manifest.json"
         try:
             self.folder.mkdir(exist_ok=True)
@@ -53,21 +83,9 @@ class Checkpoint:
     def _ours(entry: Path) -> bool:
         return entry.name.startswith((".chunk-", ".manifest.", "chunk-")) or entry.name == "manifest.json"
 
-    def path(self, index: int) -> Path:
-        return self.folder / f"chunk-{index:07d}.safetensors"
-
-    def save(self, index: int, tensors: dict[str, Tensor]) -> None:
-        with atomic(self.path(index)) as path:
-            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
-
-    def load(self, index: int) -> dict[str, Tensor] | None:
-        """The tensors of a chunk (memory-mapped), or None if it is not there or was damaged by a crash."""
-        if not self.path(index).exists():
-            return None
-        try:
-            return load_file(self.path(index))
-        except (SafetensorError, OSError):
-            return None
+    def __reduce__(self) -> tuple[type[Folder], tuple[Path]]:
+        # Workers read and write there; it begins and ends here.
+        return Folder, (self.folder.absolute(),)
 
     def close(self) -> None:
         if self._temporary:

@@ -32,6 +32,11 @@ class Glossy:
     frames: Float[Tensor, "G 3 3"]
     brdfs: tuple[Brdf, ...]
 
+    def among(self, rows: slice | Tensor) -> Int[Tensor, "g"]:
+        """The glossy receivers among `rows` of all receivers, in their order."""
+        number = self.number[rows]
+        return number[number >= 0]
+
 
 def glossy(receivers: Receivers, chosen: Tensor, tangents: Tensor, material: Tensor, brdfs: tuple[Brdf, ...]) -> Glossy:
     """The glossy receivers `chosen [G]` of all `receivers`, with their tangents and materials `[G]`."""

@@ -12,8 +12,8 @@ from torch import Tensor
 from torchprt.brdf import Brdf, exit_kernel
 from torchprt.sh import Projection, basis, gauss_legendre_hemisphere, hemisphere_basis
 from torchprt.transport.directions import hemisphere
+from torchprt.transport.glossy_tasks import GlossyJob
 from torchprt.transport.rows import Recording
-from torchprt.transport.solve_glossy import GlossyJob
 
 # Receivers whose matrices are compared.
 _SAMPLE = 64

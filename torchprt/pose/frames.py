@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
-from torchprt.shade.gather import pick, rows_of
+from torchprt.pose.gather import pick, rows_of
 
 # Normals of copies of a vertex are the same when they are rounded to this.
 SAME_NORMAL = 1e-3

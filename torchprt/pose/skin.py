@@ -6,8 +6,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.pose.frames import nearest_rotation
 from torchprt.sh.basis import values_are_at_hand
-from torchprt.shade.frames import nearest_rotation
 
 
 class SkinnedMesh(nn.Module):
