@@ -13,7 +13,7 @@ from torchprt.errors import InputError
 from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
-from torchprt.shade import EnvironmentShader, Shader, shader
+from torchprt.shade import EnvironmentShader, Shader, at_rest, shader
 from torchprt.transfer import Transfer
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
@@ -112,8 +112,10 @@ def plan(
     if "eye" in needs:
         inputs[name] = (3,)
     chosen = _pose(transfer, eye, pose)
+    # Lobes beside a layer that stands still stand still.
+    held = transfer if chosen is not None else at_rest(transfer)
     estimated = ESTIMATE * transfer.vertices if chosen == "positions" else 0
-    _check_weights(_numbers(transfer) + texels + estimated, glossy="eye" in needs)
+    _check_weights(_numbers(held) + texels + estimated, glossy="eye" in needs)
     if chosen is not None:
         inputs[chosen] = (transfer.vertices, 3, 3) if chosen == "frames" else (transfer.vertices, 3)
         about["pose"] = chosen
@@ -121,7 +123,7 @@ def plan(
         inputs,
         transfer.vertices,
         about,
-        lambda: ShaderGraph(made(torch.float32), source, size, eye, chosen),
+        lambda: ShaderGraph(shader(held, dtype=torch.float32, exponent=exponent), source, size, eye, chosen),
         lambda: from_source(made(torch.float64)),
         single=() if chosen is None else (chosen,),
     )
