@@ -235,7 +235,7 @@ def test_the_graph_is_the_sum_of_lobes(order, exact, channels, albedo):
     transfer = random_zonal(2, lobes=2, order=order, channels=channels, exact=exact, albedo=albedo)
     graph = ShaderGraph(shader(transfer), "light", 4, "point", "frames")
     light, frames = lights(1, order=order), turns(4)
-    found = graph(light, torch.eye(3)[None], frames)[0]
+    found = graph(light, torch.eye(3)[None], pose=frames)[0]
     assert same(found, by_definition(transfer, light[0], frames), order)
 
 
