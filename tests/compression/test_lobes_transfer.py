@@ -1,5 +1,7 @@
 """Does zonal transfer stand for the transfer that it was fitted to, and smooth lobes for what is between vertices?"""
 
+import dataclasses
+
 import pytest
 import torch
 from transfers import KINDS, gloss, random_glossy, replaced, stored
@@ -89,3 +91,13 @@ def test_a_fit_without_receivers_is_refused(make_transfer):
     empty["albedo"] = transfer.albedo[:1]
     with pytest.raises(InputError, match="no receivers"):
         fit(replaced(transfer, values=stored(transfer)[..., :0], **empty))
+
+
+def test_all_layers_are_fitted_each_as_it_is_alone():
+    transfer = random_glossy("exit", vertices=6, glossy=4, order=3, output_order=2)
+    made = fit(transfer, lobes=1)
+    assert made.kind == "zonal diffuse + zonal exit"
+    for name in transfer.layers:
+        alone = fit(dataclasses.replace(transfer, layers={name: transfer.layers[name]}), lobes=1)
+        assert torch.equal(alone.layers[name].signal.coefficients, made.layers[name].signal.coefficients)
+    assert made.needs == {"eye", "pose"}

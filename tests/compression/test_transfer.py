@@ -249,3 +249,38 @@ def test_reordered_transfer_shades_the_same_and_leads_back(make_transfer, kind):
     assert bool((gloss(moved).signal.label.long().diff() != 0).sum() < 7)
     with pytest.raises(InputError, match="already"):
         reorder(moved)
+
+
+# A layer among others
+
+
+def test_refuses_a_layer_that_there_is_not(glossy):
+    with pytest.raises(InputError, match="layer is 'incident': the transfer has diffuse, exit"):
+        compress(glossy, layer="incident")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_layer_that_is_named_is_compressed_and_the_other_keeps_its_bits(kind):
+    whole = random_glossy(kind, vertices=40, glossy=30)
+    first = compress(whole, layer="diffuse", clusters=3, components=2)
+    assert first.kind == f"clustered diffuse + {kind}"
+    changed = differing(first, whole)
+    assert {name.rsplit(".", 1)[0] for name in changed} == {"diffuse.signal"}
+    # And so does that which is compressed already.
+    both = compress(first, layer=kind, clusters=2, components=1)
+    assert both.kind == f"clustered diffuse + clustered {kind}"
+    assert {name.rsplit(".", 1)[0] for name in differing(both, first)} == {f"{kind}.signal"}
+    # In either order, and as each by itself.
+    assert not differing(
+        both, compress(compress(whole, clusters=2, components=1), layer="diffuse", clusters=3, components=2)
+    )
+    assert decompress(both).kind == whole.kind
+
+
+def test_bytes_that_are_asked_for_are_those_of_all_layers():
+    whole = random_glossy("exit", vertices=900, order=3)
+    kept = whole.layers["exit"].bytes
+    packed = compress(whole, layer="diffuse", bytes=kept + 9_000, bits=8)
+    assert kept + 4_500 < packed.bytes <= kept + 9_000
+    with pytest.raises(InputError, match=r"give [0-9]+ or more"):
+        compress(whole, layer="diffuse", bytes=kept)
