@@ -98,6 +98,8 @@ def contents(value):
     """All tensors and numbers of a transfer."""
     if dataclasses.is_dataclass(value):
         return {field.name: contents(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {name: contents(each) for name, each in value.items()}
     return value.numpy().tobytes() if isinstance(value, torch.Tensor) else value
 
 
