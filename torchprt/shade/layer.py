@@ -60,7 +60,7 @@ class LayerModule(nn.Module, abc.ABC):
         self.signal = signal_module(layer.signal, dtype, learn, lost, **given)
 
     @property
-    def weight(self) -> Float[Tensor, "G|1 3|1"]:
+    def weight(self) -> Float[Tensor, "#G #3"]:
         value: Tensor = getattr(self, self.weight_name)
         return value
 

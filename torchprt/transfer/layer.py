@@ -165,7 +165,7 @@ class EyeLayer(Layer):
         return [f"materials {', '.join(self.materials) or 'none'}, specular {weight_text(self.specular)}"]
 
 
-def weight_text(weight: Float[Tensor, "G|1 3|1"]) -> str:
+def weight_text(weight: Float[Tensor, "#G #3"]) -> str:
     """A weight for people."""
     if len(weight) == 1:
         return ", ".join(f"{value:.3g}" for value in weight[0].tolist())

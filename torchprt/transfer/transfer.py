@@ -106,7 +106,7 @@ class Transfer:
         return self.receivers.faces
 
     @property
-    def albedo(self) -> Float[Tensor, "V|1 3|1"]:
+    def albedo(self) -> Float[Tensor, "#V #3"]:
         """That of the diffuse layer, zero if there is none."""
         found = [layer for layer in self.layers.values() if isinstance(layer, Diffuse) and layer.receivers is None]
         return found[0].albedo if found else torch.zeros(1, 1, device=self.positions.device)
@@ -148,7 +148,7 @@ class Transfer:
 
 def diffuse_transfer(
     vectors: Float[Tensor, "C N V"],
-    albedo: Float[Tensor, "V|1 3|1"],
+    albedo: Float[Tensor, "#V #3"],
     positions: Float[Tensor, "V 3"],
     normals: Float[Tensor, "V 3"],
     faces: Int[Tensor, "F 3"],
