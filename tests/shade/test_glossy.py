@@ -331,9 +331,7 @@ def test_a_scene_far_from_the_origin_is_exact_with_positions_and_eye_in_float64(
 
 def test_an_eye_below_the_horizon_is_on_it(kind):
     transfer = random_glossy(kind, vertices=1, diffuse=False)
-    transfer = replaced(
-        transfer, normals=torch.tensor([[0.0, 1.0, 0.0]]), tangents=torch.tensor([[1.0, 0.0, 0.0]])
-    )
+    transfer = replaced(transfer, normals=torch.tensor([[0.0, 1.0, 0.0]]), tangents=torch.tensor([[1.0, 0.0, 0.0]]))
     module = shader(transfer)
     on = module(lights(), view=torch.tensor([0.6, 0.0, -0.8]))
     for down in (-1e-6, -0.5, -100.0):
