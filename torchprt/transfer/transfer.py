@@ -17,6 +17,8 @@ from torchprt.transfer.layer import Diffuse, Layer
 from torchprt.transfer.receivers import Receivers, Vertices
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
+# A shader keeps its layers by name in a module, which has these already.
+_TAKEN = frozenset(dir(torch.nn.ModuleDict()))
 
 
 @dataclass(kw_only=True)
@@ -51,6 +53,8 @@ class Transfer:
         for name, layer in self.layers.items():
             if not name.isidentifier():
                 raise InputError(f"layer '{name}' of the transfer: give it a name of letters, digits and underscores")
+            if name in _TAKEN:
+                raise InputError(f"layer '{name}' of the transfer: modules of torch use that name, give it another")
             layer.check_among(self.vertices)
         orders = {layer.order for layer in self.layers.values()}
         if len(orders) > 1:
