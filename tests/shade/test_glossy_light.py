@@ -1,4 +1,4 @@
-"""Is what a layer that depends on the eye gives the integral of light and reflectance? Unshadowed receivers, against quadrature."""
+"""Is what an eye is shown the integral of light and reflectance? Unshadowed receivers, against quadrature."""
 
 import dataclasses
 import math
