@@ -55,6 +55,13 @@ class Dense(Signal):
     def dtype(self) -> torch.dtype:
         return self.values.dtype
 
+    def laid_out(self, matrices: bool) -> Dense:
+        """As matrices, or as vectors if there is one row: the same numbers, in the layout that a layer is of."""
+        if matrices == (self.values.ndim == 4) or self.shape[2] != 1:
+            return self
+        values = self.values.mT.unsqueeze(2) if matrices else self.values.squeeze(2).mT
+        return Dense(values=values.contiguous())
+
     def to(self, dtype: torch.dtype) -> Dense:
         return Dense(values=self.values.to(dtype))
 

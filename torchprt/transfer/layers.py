@@ -137,6 +137,7 @@ class Visibility(EyeLayer):
 
     kind: ClassVar[str] = "visibility"
     meets_light: ClassVar[bool] = False
+    matrices: ClassVar[bool] = False
     layouts: ClassVar[dict[str, Layout]] = EyeLayer.layouts | {"kernel": Layout(("M", "D"), REAL)}
 
     kernel: Tensor
