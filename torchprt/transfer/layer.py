@@ -84,7 +84,8 @@ class Layer(Part, abc.ABC):
         rows = {
             name: getattr(self, name)[index]
             for name, layout in self.layouts.items()
-            if layout.shape[0].split("|")[0] == "G" and name != "receivers" and len(getattr(self, name)) > 1
+            if name != "receivers"
+            and (layout.shape[0] == "G" or (layout.shape[0] == "G|1" and len(getattr(self, name)) > 1))
         }
         return self.replace(signal=self.signal.take(index), receivers=receivers, **rows)
 
