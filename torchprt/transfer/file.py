@@ -54,7 +54,14 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
     metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
     metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
-    contents = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    contents: dict[str, Tensor] = {}
+    for name, value in tensors.items():
+        value = value.detach().cpu().contiguous()
+        # Layers may share tensors, which a file may not.
+        shared = any(
+            value.untyped_storage().data_ptr() == each.untyped_storage().data_ptr() for each in contents.values()
+        )
+        contents[name] = value.clone() if shared else value
     with atomic(path) as temporary:
         save_file(contents, temporary, metadata=metadata)
 
