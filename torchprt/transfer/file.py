@@ -123,6 +123,11 @@ def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Read) -
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     except (KeyError, TypeError, AttributeError) as fault:
         raise InputError(f"{path} has damaged metadata ({fault}): bake it again") from fault
+    except (IndexError, ValueError, RuntimeError) as fault:
+        # Of so few dimensions that it cannot be brought into the layouts of today.
+        raise InputError(
+            f"{path} has a tensor of a shape that its kind has not: it is damaged, bake it again"
+        ) from fault
     return transfer
 
 
