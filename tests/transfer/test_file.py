@@ -7,7 +7,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
-from transfers import replaced, same, stored
+from transfers import gloss, random_glossy, replaced, same, stored
 
 from torchprt.errors import InputError
 from torchprt.transfer import FORMAT, load, save
@@ -76,7 +76,9 @@ def test_names_a_missing_tensor(written, name):
         load(written)
 
 
-@pytest.mark.parametrize("name", ["transport", "bounces", "rays", "seed", "error", "signal", "version", "receivers", "layers"])
+@pytest.mark.parametrize(
+    "name", ["transport", "bounces", "rays", "seed", "error", "signal", "version", "receivers", "layers"]
+)
 def test_names_missing_metadata(written, name):
     values, metadata = parts(written)
     del metadata[name]
@@ -97,7 +99,7 @@ def test_names_metadata_that_is_not_json(written):
     [
         ({"format": str(FORMAT + 1)}, f"format {FORMAT + 1}, newer than the {FORMAT}.*update torchprt"),
         ({"format": "next"}, "format next"),
-        ({"receivers": '{"kind": "voxels"}'}, "receivers of kind 'voxels' is unknown to this torchprt: update torchprt"),
+        ({"receivers": '{"kind": "voxels"}'}, "receivers of kind 'voxels' is unknown .*: update torchprt"),
         (
             {"layers": '[{"name": "diffuse", "kind": "holographic", "signal": {"kind": "dense"}}]'},
             "layer of kind 'holographic' is unknown to this torchprt: update torchprt",
@@ -142,6 +144,40 @@ def test_comes_back_bit_for_bit(make_transfer, tmp_path, dtype, channels):
     )  # fmt: skip
     save(transfer, tmp_path / "a.safetensors")
     assert same(load(tmp_path / "a.safetensors"), transfer)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"layers": "5"},
+        {"layers": "null"},
+        {"layers": "[[]]"},
+        {"layers": '[{"kind": "diffuse", "signal": {"kind": "dense"}}]'},
+        {"layers": '[{"name": "diffuse", "kind": "diffuse"}]'},
+        {"layers": '[{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense", "lobes": 3}}]'},
+        {"receivers": "{}"},
+        {"receivers": '{"kind": "texels", "rows": "many", "columns": 5}'},
+    ],
+)
+def test_refuses_metadata_that_say_something_else(written, entries):
+    values, metadata = parts(written)
+    save_file(values, written, metadata=metadata | entries)
+    with pytest.raises(InputError, match=r"(?s)scene\.safetensors has damaged metadata \(.*\): bake it again"):
+        load(written)
+
+
+def test_refuses_no_layers(written):
+    values, metadata = parts(written)
+    save_file(values, written, metadata=metadata | {"layers": "[]"})
+    with pytest.raises(InputError, match=r"scene\.safetensors: the transfer has no layer"):
+        load(written)
+
+
+def test_layers_that_share_tensors_are_written(tmp_path):
+    transfer = random_glossy(glossy=4)
+    shared = transfer.with_layers(coat=gloss(transfer).replace(signal=gloss(transfer).signal.take(torch.arange(4))))
+    save(shared, tmp_path / "a.safetensors")
+    assert same(load(tmp_path / "a.safetensors"), shared)
 
 
 @pytest.mark.parametrize("side", [0, 1])
