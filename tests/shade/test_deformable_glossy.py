@@ -4,13 +4,12 @@ import math
 
 import pytest
 import torch
-from transfers import by_definition, gloss, replaced
-from zonal_transfers import random_zonal_factored, turns, vectors_by_definition
+from transfers import by_definition, gloss
+from zonal_transfers import random_zonal_factored, turned_by_hand, turns
 
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.shade import EnvironmentShader, shader
-from torchprt.transfer import Dense
 
 EPSILON = torch.finfo(torch.float64).eps
 
@@ -25,25 +24,6 @@ def points(*batch, seed=2):
 
 def close(value, wanted, epsilons):
     return (value - wanted).abs().max() <= epsilons * EPSILON * wanted.abs().max()
-
-
-def as_factored(transfer, frames, positions):
-    """What dense transfer would be in one pose: every receiver turned by its frame, lobe by lobe."""
-    rows = gloss(transfer).receivers
-    parts = [
-        vectors_by_definition(transfer, frames[rows], "factored", row) for row in range(gloss(transfer).signal.shape[2])
-    ]
-    turned = replaced(
-        transfer,
-        positions=positions,
-        normals=(frames @ transfer.normals[..., None])[..., 0],
-        tangents=(frames[rows] @ gloss(transfer).tangents[..., None])[..., 0],
-    )
-    made = {"factored": gloss(turned).replace(signal=Dense(values=torch.stack(parts).permute(1, 3, 0, 2)))}
-    if "diffuse" in transfer.layers:
-        vectors = vectors_by_definition(transfer, frames)
-        made["diffuse"] = transfer.layers["diffuse"].replace(signal=Dense(values=vectors))
-    return turned.with_layers(**made)
 
 
 def test_refuses_a_point_that_is_seen_from_nowhere():
@@ -85,7 +65,7 @@ def test_is_the_factored_transfer_of_the_pose(channels, exact, diffuse, glossy):
     )
     module, light = shader(transfer), lights()
     frames, posed = turns(9, dtype=torch.float64), transfer.positions.roll(2, 0)
-    wanted = as_factored(transfer, frames, posed)
+    wanted = turned_by_hand(transfer, frames, posed)
     for eye in ({"eye": points()}, {"view": points()}):
         found = module(light, frames=frames, positions=posed, **eye)
         assert (found - by_definition(wanted, light, **eye)).abs().max() <= 1e-12 * 30
