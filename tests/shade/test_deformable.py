@@ -11,7 +11,8 @@ from zonal_transfers import by_definition, random_zonal, turns, vectors_by_defin
 from torchprt import sh
 from torchprt.compression import fit_lobes
 from torchprt.errors import InputError
-from torchprt.shade import EnvironmentShader, deformed_frames, shader
+from torchprt.pose import deformed_frames
+from torchprt.shade import EnvironmentShader, shader
 from torchprt.transfer import diffuse_transfer
 
 EPSILON = {torch.float32: torch.finfo(torch.float32).eps, torch.float64: torch.finfo(torch.float64).eps}

@@ -11,11 +11,12 @@ from zonal_transfers import random_zonal, random_zonal_factored, turned_by_hand,
 from torchprt import brdf
 from torchprt.compression import compress, decompress
 from torchprt.errors import InputError
-from torchprt.shade import DenseSignal, SignalModule, at_rest, shader, signal_module
+from torchprt.shade import DenseSignal, Making, SignalModule, at_rest, shader, signal_module
 from torchprt.transfer import Clustered, Dense, Diffuse, Exit, Incident, Vertices
 
 EPSILON = torch.finfo(torch.float64).eps
 EYE = torch.tensor([0.3, -4.0, 2.0], dtype=torch.float64)
+MAKING = Making(random_glossy().receivers, torch.float64)
 
 
 def lights(*batch, order=4, seed=1):
@@ -359,7 +360,7 @@ def test_vectors_carry_gradients_to_eye_and_weights():
 def test_what_rows_send_follows_from_vectors_toward_an_eye(channels, batch, rows):
     """Signals that say nothing but `toward` send what those with a faster way do."""
     values = torch.randn(channels, 9, rows, 16, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    dense = signal_module(Dense(values=values), torch.float64, (), None)
+    dense = signal_module(Dense(values=values), MAKING)
     wanted = torch.einsum("cgmn,...nc->...cmg", values.expand(3, -1, -1, -1), lights(*batch))
     for found in (DenseSignal.under(dense, lights(*batch)), SignalModule.under(dense, lights(*batch))):
         assert found.shape == (*batch, 3, rows, 9)
@@ -377,7 +378,7 @@ def test_every_signal_sends_what_its_numbers_do(channels, kind):
         shared = 5 if kind == "shared axes" else None
         signal = gloss(compress(whole, clusters=2, components=2, shared=shared)).signal
         wanted = signal.dense()
-    made, dense = (signal_module(each, torch.float64, (), None) for each in (signal, wanted))
+    made, dense = (signal_module(each, MAKING) for each in (signal, wanted))
     assert made.shape == dense.shape == signal.shape
     near = 64 * (EPSILON if wanted.dtype == torch.float64 else torch.finfo(torch.float32).eps)
     for one in (made.under, lambda light: SignalModule.under(made, light)):

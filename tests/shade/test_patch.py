@@ -9,8 +9,9 @@ from transfers import replaced
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.pose import surface_frames
 from torchprt.scene import bend, make_mesh, samples, twist
-from torchprt.shade import lay, sample, shader, surface_frames
+from torchprt.shade import lay, sample, shader
 
 EPS = torch.finfo(torch.float64).eps
 
