@@ -99,6 +99,28 @@ def replaced(transfer, layer=None, **changes):
     return dataclasses.replace(transfer, receivers=transfer.receivers.replace(**place), layers=layers, **own)
 
 
+def same(one, other):
+    """Whether two transfers have the same tensors, bit for bit, and the same in all other fields."""
+
+    def parts(transfer):
+        yield "", transfer.receivers
+        for name, layer in transfer.layers.items():
+            yield name, layer
+            yield f"{name}.signal", layer.signal
+
+    def equal(a, b):
+        return a.dtype == b.dtype and torch.equal(a, b)
+
+    return one.provenance == other.provenance and all(
+        name == again
+        and type(a) is type(b)
+        and a.metadata() == b.metadata()
+        and a.tensors().keys() == b.tensors().keys()
+        and all(equal(value, b.tensors()[each]) for each, value in a.tensors().items())
+        for (name, a), (again, b) in zip(parts(one), parts(other), strict=True)
+    )
+
+
 def frame_of(transfer, g):
     """Rows tangent, normal x tangent, normal of the glossy receiver g, float64."""
     normal, tangent = transfer.normals[gloss(transfer).receivers[g]].double(), gloss(transfer).tangents[g].double()

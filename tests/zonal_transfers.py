@@ -1,5 +1,6 @@
 """Random zonal transfer, and what its shading is by definition."""
 
+import dataclasses
 import math
 
 import torch
@@ -7,7 +8,7 @@ from torch.nn.functional import normalize
 
 from torchprt import sh
 from torchprt.sh import yaw_pitch_roll
-from torchprt.transfer import Diffuse, Factored, Transfer, Vertices, Zonal
+from torchprt.transfer import Dense, Diffuse, Factored, Transfer, Vertices, Zonal
 
 
 def random_zonal(
@@ -124,6 +125,21 @@ def vectors_by_definition(transfer, frames=None, layer="diffuse", row=0):
             low = sh.rotate(signal.exact[:, row, :, v].double().T, turn).T
             vectors[:, :4, v] += low
     return vectors
+
+
+def turned_by_hand(transfer, frames, positions):
+    """Dense transfer of one pose, `frames` [V, 3, 3]: every receiver turned by its frame, lobe by lobe, in float64."""
+    normals = (frames @ transfer.normals.to(frames)[..., None])[..., 0]
+    layers = {}
+    for name, layer in transfer.layers.items():
+        own = frames[layer.index(transfer.vertices)]
+        rows = [vectors_by_definition(transfer, own, name, row) for row in range(layer.signal.shape[2])]
+        changes = {"signal": Dense(values=torch.stack(rows).permute(1, 3, 0, 2))}
+        if "tangents" in layer.layouts:
+            changes["tangents"] = (own @ layer.tangents.to(own)[..., None])[..., 0]
+        layers[name] = layer.replace(**changes)
+    receivers = transfer.receivers.replace(positions=positions, normals=normals)
+    return dataclasses.replace(transfer, receivers=receivers, layers=layers)
 
 
 def by_definition(transfer, light, frames=None):

@@ -20,8 +20,9 @@ from torch import Tensor
 from torchprt import light, preview, sh
 from torchprt.compression import fit
 from torchprt.measure import Table, relative_rms
+from torchprt.pose import SkinnedMesh, deformed_frames, surface_frames
 from torchprt.scene import Material, Mesh, Object, Scene, bend, make_mesh, samples, twist
-from torchprt.shade import SkinnedMesh, deformed_frames, lay, sample, shader, surface_frames
+from torchprt.shade import lay, sample, shader
 from torchprt.shade.lobes import lobe_vectors
 from torchprt.transfer import DiffuseTransfer, Transfer, ZonalMap, ZonalTransfer, zonal_map
 from torchprt.transport import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle

@@ -19,8 +19,9 @@ from torch.nn.functional import normalize
 
 from torchprt.measure import Table, relative_rms, time_it
 from torchprt.onnx import export
+from torchprt.pose import DeformedFrames, SkinnedMesh, nearest_rotation
 from torchprt.sh import bands, check_rotation, yaw_pitch_roll
-from torchprt.shade import DeformableShader, DeformedFrames, SkinnedMesh, nearest_rotation, shader
+from torchprt.shade import DeformableShader, shader
 from torchprt.transfer import DiffuseTransfer, ZonalTransfer
 
 VERTICES, LOBES, ORDER, MANY, JOINTS = 50_000, 4, 6, 64, 24

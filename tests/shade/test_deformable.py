@@ -1,18 +1,19 @@
 """Does zonal transfer turn with the surface, while the light stays where it is?"""
 
-import dataclasses
 import math
 
 import pytest
 import torch
 from torch.nn.functional import normalize
+from transfers import replaced
 from zonal_transfers import by_definition, random_zonal, turns, vectors_by_definition
 
 from torchprt import sh
 from torchprt.compression import fit_lobes
 from torchprt.errors import InputError
-from torchprt.shade import DeformableShader, EnvironmentShader, deformed_frames, shader
-from torchprt.transfer import DiffuseTransfer
+from torchprt.pose import deformed_frames
+from torchprt.shade import EnvironmentShader, shader
+from torchprt.transfer import diffuse_transfer
 
 EPSILON = {torch.float32: torch.finfo(torch.float32).eps, torch.float64: torch.finfo(torch.float64).eps}
 ALBEDOS = [("V", 3), ("V", 1), (1, 3), (1, 1)]
@@ -36,9 +37,11 @@ def test_refuses_a_light_of_another_order():
         shader(random_zonal())(lights(order=3))
 
 
-@pytest.mark.parametrize("learn", ["transfer", ["axis", "normals"]])
+@pytest.mark.parametrize("learn", ["values", ["axis", "normals"]])
 def test_refuses_to_learn_what_it_does_not_have(learn):
-    with pytest.raises(InputError, match=r"learn names '(transfer|normals)': a deformable shader can learn 'axis'"):
+    with pytest.raises(
+        InputError, match=r"learn names '(values|normals)': .* 'zonal diffuse' can learn 'albedo', 'axis'"
+    ):
         shader(random_zonal(), learn=learn)
 
 
@@ -49,7 +52,7 @@ def test_refuses_to_learn_an_albedo_that_bounces_have_baked_in():
 
 def test_refuses_an_unknown_method(untyped):
     with pytest.raises(InputError, match="method 'texture' is unknown: use 'direct' or 'table'"):
-        DeformableShader(random_zonal(), method="texture")
+        shader(random_zonal(), method="texture")
 
 
 @pytest.mark.parametrize("method", ["direct", "table"])
@@ -67,7 +70,7 @@ def test_refuses_an_unknown_method(untyped):
 )
 def test_refuses_frames_that_are_no_rotations(untyped, method, frames, message):
     with pytest.raises(InputError, match=message):
-        DeformableShader(random_zonal(), method=method)(lights(), frames=frames)
+        shader(random_zonal(), method=method)(lights(), frames=frames)
 
 
 def test_refuses_positions_of_another_mesh_or_that_are_not_finite(untyped):
@@ -122,8 +125,8 @@ def test_every_order_and_number_of_lobes(order, lobes):
 @pytest.mark.parametrize("exact", [False, True])
 def test_identity_frames_reproduce_the_transfer_that_was_fitted(dtype, exact):
     transfer = random_zonal(exact=exact, dtype=dtype)
-    static = DiffuseTransfer(
-        transfer=vectors_by_definition(transfer),
+    static = diffuse_transfer(
+        vectors_by_definition(transfer),
         **{name: getattr(transfer, name) for name in ("albedo", "positions", "normals", "faces")},
     )
     light = lights(5, dtype=dtype)
@@ -138,13 +141,14 @@ def test_identity_frames_reproduce_the_transfer_that_was_fitted(dtype, exact):
 def test_the_rest_pose_of_fitted_lobes_is_their_reconstruction(lobes):
     vectors = torch.randn(9, 1, 16, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     found = fit_lobes(vectors, lobes)
-    transfer = dataclasses.replace(
-        random_zonal(dtype=torch.float64),
-        axis=found.axis,
-        coefficients=found.coefficients,
-        exact=found.exact,
+    transfer = replaced(
+        random_zonal(dtype=torch.float64, albedo=(1, 1)),
+        axis=found.axis[None],
+        coefficients=found.coefficients[:, None],
+        exact=found.exact[:, None],
+        albedo=torch.ones(1, 1, dtype=torch.float64),
     )
-    made = shader(transfer).vectors(None)
+    made = shader(transfer).vectors()
     assert (made - found.reconstruct().permute(1, 2, 0)).abs().max() <= 64 * EPSILON[torch.float64]
     assert lobes < 3 or torch.equal(made[:, :4], vectors.permute(1, 2, 0)[:, :4])
 
@@ -157,7 +161,7 @@ def test_frames_and_light_turned_together_change_nothing(channels, exact):
     for turned in (
         module(sh.rotate(light.expand(7, -1, -1), turn), frames=turn[:, None] @ frames),
         module(light, turn, frames=turn[:, None] @ frames),
-        DeformableShader(transfer).double()(light.double(), turn.double(), frames=(turn[:, None] @ frames).double()),
+        shader(transfer).double()(light.double(), turn.double(), frames=(turn[:, None] @ frames).double()),
     ):
         assert (turned - still).abs().max() <= 1e-5 * still.abs().max()
 
@@ -165,7 +169,7 @@ def test_frames_and_light_turned_together_change_nothing(channels, exact):
 @pytest.mark.parametrize("method", ["direct", "table"])
 def test_a_mesh_that_moves_rigidly_is_lit_as_by_a_light_that_turns_the_other_way(method):
     transfer = random_zonal(dtype=torch.float64)
-    module, light = DeformableShader(transfer, method=method), lights(dtype=torch.float64)
+    module, light = shader(transfer, method=method), lights(dtype=torch.float64)
     turn = turns(dtype=torch.float64)
     moved = module(light, positions=transfer.positions @ turn.mT + 3.0)
     frames = module(light, frames=turn.expand(9, 3, 3))
@@ -176,11 +180,12 @@ def test_a_mesh_that_moves_rigidly_is_lit_as_by_a_light_that_turns_the_other_way
 
 def test_the_exact_bands_are_exact_in_every_pose():
     transfer = random_zonal(exact=True, dtype=torch.float64)
-    transfer = dataclasses.replace(transfer, coefficients=torch.zeros_like(transfer.coefficients))
+    signal = transfer.layers["diffuse"].signal
+    transfer = replaced(transfer, coefficients=torch.zeros_like(signal.coefficients))
     frames, light = turns(9, dtype=torch.float64), lights(dtype=torch.float64)
     found = shader(transfer)(light, frames=frames)
     low = torch.zeros(9, 16, dtype=torch.float64)
-    low[:, :4] = transfer.exact[0].T
+    low[:, :4] = signal.exact[0, 0].T
     turned = sh.rotate(low[..., None], frames)[..., 0]
     assert close(found, transfer.albedo * (turned @ light), 16)
 
@@ -209,7 +214,7 @@ def test_positions_are_frames_that_are_estimated():
 )
 def test_batches_of_lights_and_poses_broadcast(method, channels, exact, many, poses):
     transfer = random_zonal(channels=channels, exact=exact)
-    module = DeformableShader(transfer, method=method)
+    module = shader(transfer, method=method)
     light, frames = lights(*many), turns(*poses, 9)
     found = module(light, frames=frames)
     shape = torch.broadcast_shapes(many, poses)
@@ -226,7 +231,7 @@ def test_a_fixed_pose_is_the_same_at_the_cost_of_a_static_one(channels, exact, a
     transfer = random_zonal(channels=channels, exact=exact, albedo=albedo)
     module, frames, light, turn = shader(transfer), turns(9), lights(3), turns(3)
     fixed = module.fix_pose(frames)
-    assert fixed.transfer.shape == (channels, 16, 9)
+    assert fixed.layers["diffuse"].signal.values.shape == (channels, 16, 9)
     assert close(fixed(light, turn), module(light, turn, frames=frames), 32)
     assert close(module.fix_pose()(light), module(light), 32)
     posed = transfer.positions.roll(1, 0)
@@ -239,10 +244,10 @@ def test_radiance_is_contiguous_in_the_vertices():
 
 def test_dark_receivers_stay_dark_and_finite():
     transfer = random_zonal()
-    transfer.coefficients[..., 4] = 0
-    transfer.exact[..., 4] = 0
+    transfer.layers["diffuse"].signal.coefficients[..., 4] = 0
+    transfer.layers["diffuse"].signal.exact[..., 4] = 0
     for method in ("direct", "table"):
-        radiance = DeformableShader(transfer, method=method)(lights(), frames=turns(9))
+        radiance = shader(transfer, method=method)(lights(), frames=turns(9))
         assert torch.equal(radiance[4], torch.zeros(3))
         assert radiance.isfinite().all()
 
@@ -261,8 +266,9 @@ def test_half_precision_is_widened_and_its_axes_are_of_unit_length_again(dtype):
     transfer = random_zonal(dtype=torch.float64)
     half = transfer.to(dtype)
     module = shader(half)
-    assert module.axis.dtype == torch.float32
-    assert (module.axis.norm(dim=1) - 1).abs().max() <= 4 * EPSILON[torch.float32]
+    axis = module.layers["diffuse"].signal.axis
+    assert axis.dtype == torch.float32
+    assert (axis.norm(dim=2) - 1).abs().max() <= 4 * EPSILON[torch.float32]
     wanted = by_definition(transfer, lights(), turns(9))
     # An axis is off by half an epsilon in each of its components, a band three times that.
     assert (module(lights(), frames=turns(9)) - wanted).abs().max() <= 8 * torch.finfo(dtype).eps * wanted.abs().max()
@@ -287,8 +293,8 @@ def test_an_environment_goes_through_the_graph_in_a_pose():
 def test_the_table_is_off_by_what_it_states(order, allowed, exact):
     transfer = random_zonal(16, order=order, exact=exact, dtype=torch.float64)
     light, frames = lights(order=order, dtype=torch.float64), turns(256, dtype=torch.float64)
-    wanted = DeformableShader(transfer)(light, frames=frames)
-    off = DeformableShader(transfer, method="table")(light, frames=frames) - wanted
+    wanted = shader(transfer)(light, frames=frames)
+    off = shader(transfer, method="table")(light, frames=frames) - wanted
     assert 0 < off.norm() / wanted.norm() < allowed
 
 
@@ -304,11 +310,11 @@ def test_the_table_goes_on_around_and_over_the_poles():
     ]
     axis = normalize(torch.cat(paths), dim=-1).T[None]
     count = axis.shape[-1]
-    transfer = dataclasses.replace(
+    transfer = replaced(
         random_zonal(1, lobes=1, order=6, exact=False, dtype=torch.float64),
-        axis=axis,
-        coefficients=torch.ones(1, 1, 6, count, dtype=torch.float64),
-        exact=torch.zeros(1, 0, count, dtype=torch.float64),
+        axis=axis[None],
+        coefficients=torch.ones(1, 1, 1, 6, count, dtype=torch.float64),
+        exact=torch.zeros(1, 1, 0, count, dtype=torch.float64),
         positions=torch.zeros(count, 3, dtype=torch.float64),
         normals=torch.zeros(count, 3, dtype=torch.float64),
         squared_error=torch.zeros(count),
@@ -316,7 +322,7 @@ def test_the_table_goes_on_around_and_over_the_poles():
         albedo=torch.ones(1, 1, dtype=torch.float64),
     )
     light = lights(order=6, dtype=torch.float64)
-    read, direct = (DeformableShader(transfer, method=method)(light) for method in ("table", "direct"))
+    read, direct = (shader(transfer, method=method)(light) for method in ("table", "direct"))
     assert (read - direct).abs().max() < 0.05 * direct.abs().max()
     step = read.view(4, 401, 3).diff(dim=1).abs().amax()
     assert step < 1.5 * direct.view(4, 401, 3).diff(dim=1).abs().amax()
@@ -325,7 +331,7 @@ def test_the_table_goes_on_around_and_over_the_poles():
 def test_a_table_of_band_0_is_exact():
     transfer = random_zonal(order=1, exact=False, dtype=torch.float64)
     light = lights(order=1, dtype=torch.float64)
-    read = DeformableShader(transfer, method="table")(light, frames=turns(9, dtype=torch.float64))
+    read = shader(transfer, method="table")(light, frames=turns(9, dtype=torch.float64))
     assert close(read, by_definition(transfer, light), 16)
 
 
@@ -337,9 +343,9 @@ def test_a_table_of_band_0_is_exact():
 def test_gradients_flow_to_lobes_albedo_frames_and_light(method, channels, exact):
     transfer = random_zonal(2, lobes=2, order=3, channels=channels, exact=exact, dtype=torch.float64)
     names = ["axis", "coefficients", "albedo"] + ["exact"] * exact
-    module = DeformableShader(transfer, method=method, learn=names)
+    module = shader(transfer, method=method, learn=names)
     parameters = dict(module.named_parameters())
-    assert sorted(parameters) == sorted(names)
+    assert sorted(name.rpartition(".")[2] for name in parameters) == sorted(names)
     light = lights(order=3, dtype=torch.float64).requires_grad_()
     # Frames as functions of free numbers, since they must stay rotations.
     angles = torch.rand(4, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64).mul(90).requires_grad_()
@@ -366,23 +372,25 @@ def test_gradients_flow_through_a_fixed_pose():
         module.fix_pose(turns(4, dtype=torch.float64))(light),
         module(light, frames=turns(4, dtype=torch.float64)),
     )
+    learned = module.layers["diffuse"].signal.coefficients
     for radiance in (fixed, general):
-        module.coefficients.grad = None
+        learned.grad = None
         radiance.square().sum().backward()
-        wanted = module.coefficients.grad.clone()
-    module.coefficients.grad = None
+        wanted = learned.grad.clone()
+    learned.grad = None
     module.fix_pose(turns(4, dtype=torch.float64))(light).square().sum().backward()
-    assert close(module.coefficients.grad, wanted, 64)
+    assert close(learned.grad, wanted, 64)
 
 
 @pytest.mark.parametrize("method", ["direct", "table"])
 def test_gradients_are_finite_at_the_poles(method):
     transfer = random_zonal(2, dtype=torch.float64)
-    transfer.axis[:] = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)[:, None]
-    transfer.axis[1] = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)[:, None]
-    module = DeformableShader(transfer, method=method, learn="axis")
+    axis = transfer.layers["diffuse"].signal.axis[0]
+    axis[:] = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)[:, None]
+    axis[1] = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)[:, None]
+    module = shader(transfer, method=method, learn="axis")
     module(lights(dtype=torch.float64)).square().sum().backward()
-    assert module.axis.grad.isfinite().all()
+    assert module.layers["diffuse"].signal.axis.grad.isfinite().all()
 
 
 def test_what_is_computed_without_gradients_is_what_is_computed_with_them():
@@ -400,7 +408,7 @@ def test_learning_axes_of_any_length_counts_them_as_directions():
     module = shader(transfer, learn="axis")
     before = module(lights()).detach()
     with torch.no_grad():
-        module.axis.mul_(3.0)
+        module.layers["diffuse"].signal.axis.mul_(3.0)
     assert close(module(lights()).detach(), before, 64)
 
 
@@ -408,7 +416,7 @@ def test_learning_axes_of_any_length_counts_them_as_directions():
 def test_compiles_as_one_graph(untyped, method, exact):
     torch.compiler.reset()
     transfer = random_zonal(exact=exact)
-    module, light, frames = DeformableShader(transfer, method=method), lights(2), turns(2, 9)
+    module, light, frames = shader(transfer, method=method), lights(2), turns(2, 9)
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
     assert torch.allclose(compiled(light, turns(2), frames=frames), module(light, turns(2), frames=frames), atol=1e-5)
     posed = torch.stack([transfer.positions.roll(1, 0), transfer.positions])

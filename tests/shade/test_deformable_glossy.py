@@ -4,13 +4,12 @@ import math
 
 import pytest
 import torch
-from transfers import by_definition
-from zonal_transfers import random_zonal_factored, turns, vectors_by_definition
+from transfers import by_definition, gloss
+from zonal_transfers import random_zonal_factored, turned_by_hand, turns
 
 from torchprt import sh
 from torchprt.errors import InputError
-from torchprt.shade import DeformableFactoredShader, EnvironmentShader, shader
-from torchprt.transfer import FactoredTransfer, ZonalTransfer
+from torchprt.shade import EnvironmentShader, shader
 
 EPSILON = torch.finfo(torch.float64).eps
 
@@ -25,42 +24,6 @@ def points(*batch, seed=2):
 
 def close(value, wanted, epsilons):
     return (value - wanted).abs().max() <= epsilons * EPSILON * wanted.abs().max()
-
-
-def as_factored(transfer, frames, positions):
-    """What `FactoredTransfer` would be in one pose: every receiver turned by its frame, lobe by lobe."""
-    rows = transfer.glossy
-
-    def layer(axis, coefficients, exact):
-        count = axis.shape[-1]
-        return ZonalTransfer(
-            axis=axis,
-            coefficients=coefficients,
-            exact=exact,
-            squared_error=torch.zeros(count),
-            albedo=torch.ones(1, 1),
-            positions=torch.zeros(count, 3),
-            normals=torch.zeros(count, 3),
-            faces=torch.zeros(0, 3, dtype=torch.int64),
-        )
-
-    parts = [
-        vectors_by_definition(layer(*parts), frames[rows])
-        for parts in zip(transfer.axis, transfer.coefficients.unbind(1), transfer.exact.unbind(1), strict=True)
-    ]
-    shared = layer(transfer.diffuse_axis, transfer.diffuse_coefficients, transfer.diffuse_exact)
-    return FactoredTransfer(
-        matrix=torch.stack(parts).permute(1, 3, 0, 2),
-        factors=transfer.factors,
-        positions=positions,
-        normals=(frames @ transfer.normals[..., None])[..., 0],
-        tangents=(frames[rows] @ transfer.tangents[..., None])[..., 0],
-        faces=transfer.faces,
-        glossy=rows,
-        albedo=transfer.albedo,
-        specular=transfer.specular,
-        diffuse=vectors_by_definition(shared, frames[: shared.vertices]),
-    )
 
 
 def test_refuses_a_point_that_is_seen_from_nowhere():
@@ -84,8 +47,8 @@ def test_refuses_frames_that_are_no_rotations():
 
 
 def test_refuses_to_learn_what_it_does_not_have_or_bounces_have_baked_in():
-    with pytest.raises(InputError, match="learn names 'matrix'"):
-        shader(random_zonal_factored(), learn="matrix")
+    with pytest.raises(InputError, match="learn names 'values'"):
+        shader(random_zonal_factored(), learn="values")
     with pytest.raises(InputError, match="learn names 'albedo'"):
         shader(random_zonal_factored(diffuse=False), learn="albedo")
     with pytest.raises(InputError, match="specular cannot be learned: 1 bounces"):
@@ -102,7 +65,7 @@ def test_is_the_factored_transfer_of_the_pose(channels, exact, diffuse, glossy):
     )
     module, light = shader(transfer), lights()
     frames, posed = turns(9, dtype=torch.float64), transfer.positions.roll(2, 0)
-    wanted = as_factored(transfer, frames, posed)
+    wanted = turned_by_hand(transfer, frames, posed)
     for eye in ({"eye": points()}, {"view": points()}):
         found = module(light, frames=frames, positions=posed, **eye)
         assert (found - by_definition(wanted, light, **eye)).abs().max() <= 1e-12 * 30
@@ -165,10 +128,10 @@ def test_a_fixed_pose_is_the_same():
 
 def test_receivers_without_a_normal_have_no_gloss():
     transfer = random_zonal_factored(diffuse=False, dtype=torch.float64)
-    transfer.normals[transfer.glossy[1]] = 0
+    transfer.normals[gloss(transfer).receivers[1]] = 0
     radiance = shader(transfer)(lights(), eye=points(), positions=transfer.positions)
     assert radiance.isfinite().all()
-    assert torch.equal(radiance[transfer.glossy[1]], torch.zeros(3, dtype=torch.float64))
+    assert torch.equal(radiance[gloss(transfer).receivers[1]], torch.zeros(3, dtype=torch.float64))
 
 
 def test_an_environment_goes_through_the_graph_with_eye_and_pose():
@@ -184,10 +147,10 @@ def test_an_environment_goes_through_the_graph_with_eye_and_pose():
 def test_gradients_flow_to_everything():
     transfer = random_zonal_factored(4, glossy=3, lobes=1, order=3, dtype=torch.float64)
     names = ["axis", "coefficients", "exact", "factors", "specular", "albedo"]
-    module = DeformableFactoredShader(transfer, learn=names)
+    module = shader(transfer, learn=names)
     # The table of factors is large: one number of it is enough.
     assert {name.rpartition(".")[2] for name, _ in module.named_parameters()} == set(names)
-    parameters = {name: value for name, value in module.named_parameters() if name != "factors"}
+    parameters = {name: value for name, value in module.named_parameters() if not name.endswith("factors")}
     light, eye = lights(order=3).requires_grad_(), points().requires_grad_()
     posed = transfer.positions.clone().requires_grad_()
 
@@ -197,8 +160,9 @@ def test_gradients_flow_to_everything():
 
     assert torch.autograd.gradcheck(radiance, (light, eye, posed, *parameters.values()))
     module(light, eye=eye, positions=posed).square().sum().backward()
-    assert module.factors.grad.isfinite().all()
-    assert module.factors.grad.abs().max() > 0
+    factors = module.layers["factored"].factors
+    assert factors.grad.isfinite().all()
+    assert factors.grad.abs().max() > 0
 
 
 def test_what_is_computed_without_gradients_is_what_is_computed_with_them():
@@ -222,6 +186,6 @@ def test_compiles_as_one_graph(untyped):
 def test_extreme_distances_and_an_eye_at_a_receiver():
     transfer = random_zonal_factored()
     module, light = shader(transfer), lights(dtype=torch.float32)
-    for eye in (points().float() * 1e15, points().float() * 1e-15, transfer.positions[transfer.glossy[0]]):
+    for eye in (points().float() * 1e15, points().float() * 1e-15, transfer.positions[gloss(transfer).receivers[0]]):
         assert module(light, eye=eye, positions=transfer.positions).isfinite().all()
     assert math.isfinite(float(module(light, view=points().float() * 1e-30).sum()))

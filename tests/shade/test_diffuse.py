@@ -1,13 +1,12 @@
 """Does a diffuse shader obey the laws of light, take every batch, and refuse the rest?"""
 
-import dataclasses
-
 import pytest
 import torch
+from transfers import replaced, stored
 
 from torchprt.errors import InputError
 from torchprt.sh import rotate, yaw_pitch_roll
-from torchprt.shade import DiffuseShader, shader
+from torchprt.shade import DiffuseLayer, Shader, shader
 
 EPSILON = {torch.float32: torch.finfo(torch.float32).eps, torch.float64: torch.finfo(torch.float64).eps}
 ALBEDOS = [("V", 3), ("V", 1), (1, 3), (1, 1)]
@@ -19,7 +18,7 @@ def lights(*batch, order=4, dtype=torch.float32, seed=1):
 
 def by_definition(transfer, light):
     """Equation 8 as it is written: a sum over coefficients at every vertex, in float64."""
-    vectors = transfer.transfer.double().expand(3, -1, -1)
+    vectors = stored(transfer, "diffuse").double().expand(3, -1, -1)
     return transfer.albedo.double() * torch.einsum("cnv,...nc->...vc", vectors, light.double())
 
 
@@ -165,24 +164,25 @@ def test_the_result_is_a_view_with_vertices_contiguous(make_transfer):
 def test_half_precision_is_storage_alone(make_transfer, dtype):
     stored = make_transfer(dtype=dtype)
     module = shader(stored)
-    assert module.transfer.dtype == torch.float32
+    assert module.layers["diffuse"].signal.values.dtype == torch.float32
     assert close(module(lights()), by_definition(stored, lights()), 16)
 
 
 def test_gradients_through_light_rotation_albedo_and_transfer_are_right(make_transfer):
     for channels in (1, 3):
         transfer = make_transfer(side=2, order=2, channels=channels, dtype=torch.float64)
-        module = shader(transfer, learn=("albedo", "transfer"))
-        assert {name for name, _ in module.named_parameters()} == {"albedo", "transfer"}
+        module = shader(transfer, learn=("albedo", "values"))
+        parameters = dict(module.named_parameters())
+        assert set(parameters) == {"layers.diffuse.albedo", "layers.diffuse.signal.values"}
         light = lights(2, order=2, dtype=torch.float64).requires_grad_()
         # The identity is where formulas with angles have no gradient.
         turns = torch.stack([torch.eye(3, dtype=torch.float64), yaw_pitch_roll(torch.tensor([9.0, 8.0, 7.0]).double())])
 
-        def shade(light, rotation, albedo, vectors, module=module):
-            return torch.func.functional_call(module, {"albedo": albedo, "transfer": vectors}, (light, rotation))
+        def shade(light, rotation, *values, module=module, parameters=parameters):
+            given = dict(zip(parameters, values, strict=True))
+            return torch.func.functional_call(module, given, (light, rotation))
 
-        arguments = (light, turns.requires_grad_(), module.albedo, module.transfer)
-        assert torch.autograd.gradcheck(shade, arguments)
+        assert torch.autograd.gradcheck(shade, (light, turns.requires_grad_(), *parameters.values()))
 
 
 def test_a_light_is_recovered_from_a_picture_by_gradient_descent(make_transfer):
@@ -210,7 +210,7 @@ def test_an_albedo_is_recovered_from_pictures_by_gradient_descent(make_transfer)
     transfer = make_transfer(side=4, order=3, albedo=("V", 3))
     light = lights(8, order=3)
     pictures = shader(transfer)(light).detach()
-    module = shader(dataclasses.replace(transfer, albedo=torch.full_like(transfer.albedo, 0.5)), learn="albedo")
+    module = shader(replaced(transfer, albedo=torch.full_like(transfer.albedo, 0.5)), learn="albedo")
     optimiser = torch.optim.LBFGS(module.parameters(), max_iter=200, tolerance_grad=1e-9, tolerance_change=0)
 
     def loss():
@@ -220,7 +220,7 @@ def test_an_albedo_is_recovered_from_pictures_by_gradient_descent(make_transfer)
         return value
 
     optimiser.step(loss)
-    assert (module.albedo - transfer.albedo).abs().max() <= 1e4 * EPSILON[torch.float32]
+    assert (module.layers["diffuse"].albedo - transfer.albedo).abs().max() <= 1e4 * EPSILON[torch.float32]
 
 
 def test_the_given_transfer_is_left_alone_by_learning(make_transfer):
@@ -228,7 +228,7 @@ def test_the_given_transfer_is_left_alone_by_learning(make_transfer):
     before = transfer.albedo.clone()
     module = shader(transfer, learn="albedo")
     with torch.no_grad():
-        module.albedo.zero_()
+        module.layers["diffuse"].albedo.zero_()
     assert torch.equal(transfer.albedo, before)
 
 
@@ -240,8 +240,10 @@ def test_a_state_dict_moves_a_shader(make_transfer):
 
 
 def test_says_what_it_is(make_transfer):
-    assert "order=4, channels=1, vertices=25" in repr(shader(make_transfer()))
-    assert isinstance(shader(make_transfer()), DiffuseShader)
+    module = shader(make_transfer())
+    assert "order=4, vertices=25, needs=[]" in repr(module)
+    assert type(module) is Shader
+    assert {name: type(layer) for name, layer in module.layers.items()} == {"diffuse": DiffuseLayer}
 
 
 def test_refuses_a_rotation_that_is_a_reflection(make_transfer):

@@ -1,14 +1,12 @@
-"""Do the shaders of glossy transfer follow their definition, take every batch, and refuse the rest?"""
-
-import dataclasses
+"""Do shaders of layers that depend on the eye follow their definition, take every batch, and refuse the rest?"""
 
 import pytest
 import torch
-from transfers import KINDS, by_definition, random_glossy
+from transfers import KINDS, by_definition, gloss, random_glossy, replaced, stored
 
 from torchprt import sh
 from torchprt.errors import InputError
-from torchprt.shade import FactoredShader, GlossyShader, IncidentShader, VisibilityShader, shader
+from torchprt.shade import DiffuseLayer, ExitLayer, FactoredLayer, IncidentLayer, Shader, VisibilityLayer, shader
 
 EPSILON = {torch.float32: torch.finfo(torch.float32).eps, torch.float64: torch.finfo(torch.float64).eps}
 EYE = torch.tensor([0.3, -4.0, 2.0])
@@ -96,13 +94,14 @@ def test_refuses_a_batch_of_eyes_to_be_fixed(untyped, kind):
 
 def test_refuses_tangents_that_make_no_frame(kind):
     transfer = random_glossy(kind)
-    skew = transfer.normals[transfer.glossy] + 0.1 * transfer.tangents
+    skew = transfer.normals[gloss(transfer).receivers] + 0.1 * gloss(transfer).tangents
     with pytest.raises(InputError, match=r"local frame .* must be orthogonal"):
-        shader(dataclasses.replace(transfer, tangents=skew))
+        shader(replaced(transfer, tangents=skew))
 
 
 def test_refuses_to_learn_what_it_does_not_have(kind):
-    with pytest.raises(InputError, match=f"learn names 'light': a shader of {kind} transfer can learn 'albedo', "):
+    message = rf"learn names 'light': a shader of transfer of kind 'diffuse \+ {kind}' can learn 'albedo', "
+    with pytest.raises(InputError, match=message):
         shader(random_glossy(kind), learn=["albedo", "light"])
     with pytest.raises(InputError, match="learn names 'albedo'"):
         shader(random_glossy(kind, diffuse=False), learn="albedo")
@@ -119,19 +118,22 @@ def test_refuses_a_reflectance_where_one_is_baked_in(name):
     from torchprt.brdf import Lambert
 
     value = {"exponent": 10.0, "brdf": Lambert()}[name]
-    for kind in ("glossy", "factored", "visibility"):
-        with pytest.raises(InputError, match=f"{name} is given, but transfer of kind '{kind}' has its reflectance"):
+    for kind in ("exit", "factored", "visibility"):
+        message = rf"{name} is given, but transfer of kind 'diffuse \+ {kind}' does not leave it open"
+        with pytest.raises(InputError, match=message):
             shader(random_glossy(kind), **{name: value})
 
 
 @pytest.mark.parametrize(
     ("kind", "wanted"),
-    list(zip(KINDS, (GlossyShader, FactoredShader, IncidentShader, VisibilityShader), strict=True)),
+    list(zip(KINDS, (ExitLayer, FactoredLayer, IncidentLayer, VisibilityLayer), strict=True)),
 )
-def test_each_kind_has_its_shader(kind, wanted):
+def test_each_kind_has_its_layer(kind, wanted):
     module = shader(random_glossy(kind, glossy=4))
-    assert type(module) is wanted
-    assert "order=4, vertices=7, glossy=4" in repr(module)
+    assert type(module) is Shader
+    assert {name: type(layer) for name, layer in module.layers.items()} == {"diffuse": DiffuseLayer, kind: wanted}
+    assert len(module.layers[kind].receivers) == 4
+    assert "order=4, vertices=7, needs=['eye']" in repr(module)
 
 
 @pytest.mark.parametrize("layers", LAYERS)
@@ -144,7 +146,7 @@ def test_is_the_sum_that_the_paper_writes(kind, layers):
 
 @pytest.mark.parametrize("projection", ["optimal", "reduced", "zero", "odd", "even"])
 def test_takes_every_projection(projection):
-    for kind in ("glossy", "visibility"):
+    for kind in ("exit", "visibility"):
         transfer = random_glossy(kind, projection=projection)
         assert close(shader(transfer)(lights(), view=EYE), by_definition(transfer, lights(), view=EYE), 64)
 
@@ -235,7 +237,9 @@ def test_a_fixed_light_takes_many_eyes(kind):
 def test_a_fixed_eye_is_a_diffuse_shader(kind):
     module = shader(random_glossy(kind, albedo=(1, 1), specular=("G", 1))).fix_eye(eye=EYE)
     # One channel where no weight has more.
-    assert module.transfer.shape == (1, 16, 7)
+    assert list(module.layers) == ["diffuse"]
+    assert module.layers["diffuse"].signal.values.shape == (1, 16, 7)
+    assert not module.needs
     first = module(lights(4))
     assert torch.equal(module(lights(4, seed=5), out=first), module(lights(4, seed=5)))
     assert first.stride() == (21, 1, 7)
@@ -274,8 +278,11 @@ def test_a_visible_world_that_turns_with_light_and_eye_looks_the_same():
     """Only visibility is stored in the local frame: turn positions, normals, tangents, light and eye together."""
     transfer = random_glossy("visibility", diffuse=False, dtype=torch.float64)
     turn = sh.yaw_pitch_roll(torch.tensor([30.0, 200.0, -70.0], dtype=torch.float64))
-    turned = dataclasses.replace(
-        transfer, **{name: getattr(transfer, name) @ turn.T for name in ("positions", "normals", "tangents")}
+    turned = replaced(
+        transfer,
+        positions=transfer.positions @ turn.T,
+        normals=transfer.normals @ turn.T,
+        tangents=gloss(transfer).tangents @ turn.T,
     )
     light, eye = lights(dtype=torch.float64), EYE.double()
     wanted = shader(transfer)(light, eye=eye)
@@ -296,7 +303,7 @@ def test_a_far_eye_is_a_view(kind):
 @pytest.mark.parametrize("scale", [2.0**-20, 2.0**20, 2.0**60])
 def test_the_unit_of_the_scene_does_not_matter(kind, scale):
     transfer = random_glossy(kind)
-    larger = dataclasses.replace(transfer, positions=scale * transfer.positions)
+    larger = replaced(transfer, positions=scale * transfer.positions)
     # Powers of two scale without rounding.
     assert torch.equal(shader(larger)(lights(), eye=scale * EYE), shader(transfer)(lights(), eye=EYE))
 
@@ -304,19 +311,19 @@ def test_the_unit_of_the_scene_does_not_matter(kind, scale):
 def test_a_scene_far_from_the_origin_is_exact_with_positions_and_eye_in_float64():
     transfer = random_glossy(dtype=torch.float64, diffuse=False)
     offset = torch.tensor([1e4, -2e4, 3e4], dtype=torch.float64)
-    far = dataclasses.replace(transfer, positions=transfer.positions + offset)
+    far = replaced(transfer, positions=transfer.positions + offset)
     light, eye = lights(dtype=torch.float64), EYE.double()
     wanted = shader(transfer)(light, eye=eye)
     assert close(shader(far)(light, eye=eye + offset), wanted, 1e4 * 64)
     # Matrices in float32, directions from float64.
     single = shader(far, dtype=torch.float32)
-    assert single.points.dtype == torch.float64
+    assert single.layers["exit"].points.dtype == torch.float64
     found = single(light.float(), eye=eye + offset)
     assert found.dtype == torch.float32
     assert close(found, wanted, 64)
     # What the docstring says of float32: an angle of about 6e-8 (|eye| + |position|) / distance, times the slope of
     # functions of order 3. The error must be there, or the float64 path would be for nothing.
-    near = dataclasses.replace(far, positions=far.positions.float())
+    near = replaced(far, positions=far.positions.float())
     coarse = shader(near, dtype=torch.float32)(light.float(), eye=(eye + offset).float())
     error = float((coarse.double() - wanted).abs().max() / wanted.abs().max())
     assert 1e-5 < error < 6e-8 * 2 * 3.8e4 * 10
@@ -324,9 +331,7 @@ def test_a_scene_far_from_the_origin_is_exact_with_positions_and_eye_in_float64(
 
 def test_an_eye_below_the_horizon_is_on_it(kind):
     transfer = random_glossy(kind, vertices=1, diffuse=False)
-    transfer = dataclasses.replace(
-        transfer, normals=torch.tensor([[0.0, 1.0, 0.0]]), tangents=torch.tensor([[1.0, 0.0, 0.0]])
-    )
+    transfer = replaced(transfer, normals=torch.tensor([[0.0, 1.0, 0.0]]), tangents=torch.tensor([[1.0, 0.0, 0.0]]))
     module = shader(transfer)
     on = module(lights(), view=torch.tensor([0.6, 0.0, -0.8]))
     for down in (-1e-6, -0.5, -100.0):
@@ -338,7 +343,7 @@ def test_an_eye_below_the_horizon_is_on_it(kind):
 
 def test_an_eye_at_a_receiver_or_straight_below_it_looks_along_the_normal(kind):
     transfer = random_glossy(kind)
-    transfer = dataclasses.replace(
+    transfer = replaced(
         transfer,
         normals=torch.tensor([[0.0, 1.0, 0.0]]).repeat(7, 1),
         tangents=torch.tensor([[1.0, 0, 0]]).repeat(7, 1),
@@ -354,7 +359,7 @@ def test_an_eye_at_a_receiver_or_straight_below_it_looks_along_the_normal(kind):
 
 def test_gradients_are_finite_wherever_the_eye_is(kind):
     transfer = random_glossy(kind, vertices=3)
-    transfer.normals[0], transfer.tangents[0] = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 0.0])
+    transfer.normals[0], gloss(transfer).tangents[0] = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 0.0])
     module, place = shader(transfer), transfer.positions[0]
     below = torch.tensor([0.0, -2.0, 0.0])
     for eye in (place, place + below, place - below, place + 1e-30, place + 1e-12, 1e30 * below, EYE):
@@ -369,19 +374,20 @@ def test_a_receiver_without_a_normal_has_no_glossy_layer(kind):
     transfer = random_glossy(kind, channels=1 if kind == "visibility" else 3)
     transfer.normals[2] = 0
     module = shader(transfer)
+    below = module.layers["diffuse"](lights()).mT
     for eye in (EYE, transfer.positions[2]):
         radiance = module(lights(), eye=eye)
         assert radiance.isfinite().all()
-        assert torch.equal(radiance[2], module.diffuse(lights())[2])
+        assert torch.equal(radiance[2], below[2])
     # The transfer itself was left alone.
-    assert (transfer.visibility if kind == "visibility" else transfer.matrix)[0, 2].abs().max() > 0
+    assert (stored(transfer)[0, :, 2] if kind == "visibility" else stored(transfer)[0, 2]).abs().max() > 0
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
 def test_half_precision_is_storage_alone(kind, dtype):
     stored = random_glossy(kind).to(dtype)
     module = shader(stored)
-    assert next(iter(module.buffers())).dtype == torch.float32
+    assert all(layer.signal.values.dtype == torch.float32 for layer in module.layers.values())
     assert close(module(lights(), eye=EYE), by_definition(stored, lights(), eye=EYE), 64)
 
 
@@ -414,12 +420,13 @@ def test_a_state_dict_moves_a_shader(kind):
 
 def test_the_given_transfer_is_left_alone_by_learning(kind):
     transfer = random_glossy(kind)
-    before = transfer.specular.clone()
-    module = shader(transfer, learn=["specular", "albedo", "diffuse"])
-    assert {name for name, _ in module.named_parameters()} == {"specular", "diffuse.albedo", "diffuse.transfer"}
+    before = gloss(transfer).specular.clone()
+    module = shader(transfer, learn=["specular", "albedo", "diffuse.values"])
+    wanted = {f"layers.{kind}.specular", "layers.diffuse.albedo", "layers.diffuse.signal.values"}
+    assert {name for name, _ in module.named_parameters()} == wanted
     with torch.no_grad():
-        module.specular.zero_()
-    assert torch.equal(transfer.specular, before)
+        module.layers[kind].specular.zero_()
+    assert torch.equal(gloss(transfer).specular, before)
 
 
 def test_factors_may_come_from_a_function_instead_of_the_table():
@@ -430,8 +437,8 @@ def test_factors_may_come_from_a_function_instead_of_the_table():
         calls.append(local.shape)
         return local[..., [0, 1, 2, 2]]
 
-    found = FactoredShader(transfer, views=views)(lights(), view=EYE)
+    found = shader(transfer, views=views)(lights(), view=EYE)
     table = shader(transfer)
-    table.exit_values = lambda local: local[..., [0, 1, 2, 2]]
+    table.layers["factored"].exit_values = lambda local: local[..., [0, 1, 2, 2]]
     assert torch.equal(found, table(lights(), view=EYE))
     assert calls == [(7, 3)]

@@ -1,17 +1,17 @@
-"""Do gradients of glossy shading flow to light, rotation, eye and every weight, and are they right?"""
+"""Do gradients of layers that depend on the eye flow to light, rotation, eye and every weight, and are they right?"""
 
 import pytest
 import torch
-from transfers import KINDS, random_glossy
+from transfers import KINDS, gloss, random_glossy
 
 from torchprt import sh
-from torchprt.shade import IncidentShader, shader
+from torchprt.shade import shader
 
 WHAT = {
-    "glossy": ["matrix"],
-    "factored": ["matrix", "factors"],
-    "incident": ["matrix", "exponent"],
-    "visibility": ["visibility", "kernel"],
+    "exit": [],
+    "factored": ["factors"],
+    "incident": ["exponent"],
+    "visibility": ["kernel"],
 }
 
 
@@ -31,7 +31,7 @@ def inputs():
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_through_everything_are_right(kind, channels):
-    names = [*WHAT[kind], "specular", "albedo", "diffuse"]
+    names = [*WHAT[kind], f"{kind}.values", "specular", "albedo", "diffuse.values"]
     module = shader(small(kind, channels=channels, glossy=1), learn=names)
     parameters = dict(module.named_parameters())
     assert len(parameters) == len(names)
@@ -50,10 +50,10 @@ def test_gradients_reach_the_eye_and_the_weights_through_a_fixed_eye(kind):
     light, rotation, eye = inputs()
 
     def shade(light, eye, specular):
-        with torch.nn.utils.stateless._reparametrize_module(module, {"specular": specular}):
+        with torch.nn.utils.stateless._reparametrize_module(module, {f"layers.{kind}.specular": specular}):
             return module.fix_eye(eye=eye[0])(light, rotation.detach())
 
-    assert torch.autograd.gradcheck(shade, (light, eye, module.specular), fast_mode=True)
+    assert torch.autograd.gradcheck(shade, (light, eye, module.layers[kind].specular), fast_mode=True)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -85,14 +85,15 @@ def recovered(module, pictures, parameter, make):
 
 
 def test_a_specular_weight_is_recovered_from_pictures():
-    transfer = small("glossy")
+    transfer = small("exit")
     light, _, eye = (value.detach() for value in inputs())
     pictures = shader(transfer)(light, eye=eye)
     module = shader(transfer, learn="specular")
+    learned = module.layers["exit"].specular
     with torch.no_grad():
-        module.specular.fill_(0.5)
-    recovered(module, pictures, module.specular, lambda module: module(light, eye=eye))
-    assert (module.specular - transfer.specular).abs().max() < 1e-9
+        learned.fill_(0.5)
+    recovered(module, pictures, learned, lambda module: module(light, eye=eye))
+    assert (learned - gloss(transfer).specular).abs().max() < 1e-9
 
 
 @pytest.mark.parametrize("count", [(), (2,)])
@@ -100,8 +101,9 @@ def test_an_exponent_is_recovered_from_pictures(count):
     transfer = small("incident")
     light, _, eye = (value.detach() for value in inputs())
     truth = torch.tensor([5.0, 9.0], dtype=torch.float64)[: max(sum(count), 1)].reshape(count)
-    pictures = IncidentShader(transfer, truth)(light, eye=eye)
-    module = IncidentShader(transfer, torch.full(count, 7.0), learn=["exponent"])
-    assert module.exponent.shape == count
-    recovered(module, pictures, module.exponent, lambda module: module(light, eye=eye))
-    assert (module.exponent - truth).abs().max() < 1e-5
+    pictures = shader(transfer, exponent=truth)(light, eye=eye)
+    module = shader(transfer, exponent=torch.full(count, 7.0), learn=["exponent"])
+    learned = module.layers["incident"].exponent
+    assert learned.shape == count
+    recovered(module, pictures, learned, lambda module: module(light, eye=eye))
+    assert (learned - truth).abs().max() < 1e-5

@@ -1,16 +1,16 @@
-"""Is what a glossy shader gives the integral of light and reflectance? Unshadowed receivers, against quadrature."""
+"""Is what an eye is shown the integral of light and reflectance? Unshadowed receivers, against quadrature."""
 
 import dataclasses
 import math
 
 import pytest
 import torch
-from transfers import frame_of, random_glossy
+from transfers import frame_of, gloss, random_glossy, replaced, stored
 
 from torchprt import brdf, sh
 from torchprt.errors import InputError
-from torchprt.shade import IncidentShader, shader, with_material
-from torchprt.transfer import GlossyTransfer
+from torchprt.shade import shader, with_material
+from torchprt.transfer import Dense, Exit
 
 ORDER, DEGREE = 3, 48
 
@@ -29,13 +29,13 @@ def frames(transfer):
     return torch.stack([frame_of(transfer, g) for g in range(3)])
 
 
-def unshadowed_glossy(model, output_order, projection="optimal"):
+def unshadowed_exit(model, output_order, projection="optimal"):
     """Exit matrices by quadrature over the incident hemisphere, from the kernels of the BRDF."""
-    transfer = receivers("glossy", output_order=output_order, projection=projection)
+    transfer = receivers("exit", output_order=output_order, projection=projection)
     nodes, weights = sh.gauss_legendre_hemisphere(DEGREE)
     kernel = brdf.exit_kernel(model, nodes, output_order, projection)
     matrix = torch.stack([(kernel * weights) @ sh.basis(nodes @ frame, ORDER) for frame in frames(transfer)])
-    return dataclasses.replace(transfer, matrix=matrix[None], specular=torch.ones(1, 1, dtype=torch.float64))
+    return replaced(transfer, values=matrix[None], specular=torch.ones(1, 1, dtype=torch.float64))
 
 
 def unshadowed_incident(output_order):
@@ -43,7 +43,7 @@ def unshadowed_incident(output_order):
     nodes, weights = sh.gauss_legendre_hemisphere(DEGREE)
     into = sh.basis(nodes, output_order).mT * weights
     matrix = torch.stack([into @ sh.basis(nodes @ frame, ORDER) for frame in frames(transfer)])
-    return dataclasses.replace(transfer, matrix=matrix[None], specular=torch.ones(1, 1, dtype=torch.float64))
+    return replaced(transfer, values=matrix[None], specular=torch.ones(1, 1, dtype=torch.float64))
 
 
 def integral(model, frame, view):
@@ -58,7 +58,7 @@ def world_views(transfer, g, local):
 
 
 def test_a_lambert_layer_is_irradiance_over_pi_toward_every_eye():
-    transfer = unshadowed_glossy(brdf.Lambert(), 2)
+    transfer = unshadowed_exit(brdf.Lambert(), 2)
     normal_light = sh.convolve(light(), sh.clamped_cosine(ORDER))
     wanted = torch.stack([sh.evaluate(normal_light, n[None])[0] for n in transfer.normals]) / math.pi
     for module in (
@@ -73,7 +73,7 @@ def test_a_lambert_layer_is_irradiance_over_pi_toward_every_eye():
 
 @pytest.mark.parametrize("model", [brdf.Phong(8), brdf.GGX(0.5), brdf.Ward(0.4, 0.7)], ids=lambda model: model.spec)
 def test_exit_radiance_is_the_best_fit_to_the_integral_over_the_light(model):
-    transfer = unshadowed_glossy(model, 4)
+    transfer = unshadowed_exit(model, 4)
     module = shader(transfer)
     nodes, weights = sh.gauss_legendre_hemisphere(20)
     for g in (0, 2):
@@ -91,8 +91,8 @@ def test_exit_radiance_is_the_best_fit_to_the_integral_over_the_light(model):
 
 def test_projections_differ_by_less_than_what_they_lose():
     model = brdf.Phong(4)
-    wanted = shader(unshadowed_glossy(model, 6))(light(), view=torch.tensor([0.3, 0.4, 0.5]).double())
-    reduced = shader(unshadowed_glossy(model, 6, "reduced"))(light(), view=torch.tensor([0.3, 0.4, 0.5]).double())
+    wanted = shader(unshadowed_exit(model, 6))(light(), view=torch.tensor([0.3, 0.4, 0.5]).double())
+    reduced = shader(unshadowed_exit(model, 6, "reduced"))(light(), view=torch.tensor([0.3, 0.4, 0.5]).double())
     assert (reduced - wanted).abs().max() < 1e-2 * wanted.abs().max()
 
 
@@ -101,7 +101,7 @@ def test_a_phong_exponent_blurs_the_light_about_the_mirror_direction(exponent):
     """Without a horizon transferred incident radiance is the light itself, and the result a convolution."""
     transfer = receivers("incident", output_order=ORDER)
     turn = sh.rotation_matrix(frames(transfer), ORDER)
-    transfer = dataclasses.replace(transfer, matrix=turn[None], specular=torch.ones(1, 1, dtype=torch.float64))
+    transfer = replaced(transfer, values=turn[None], specular=torch.ones(1, 1, dtype=torch.float64))
     eye = 100 * transfer.normals[0] + torch.tensor([3.0, 40.0, 5.0]).double()
     found = shader(transfer, exponent=exponent)(light(), eye=eye)
     blurred = sh.convolve(light(), sh.phong(exponent, ORDER))
@@ -136,7 +136,7 @@ def test_refuses_exponents_for_other_receivers():
 
 def test_refuses_two_reflectances():
     with pytest.raises(InputError, match="exponent and brdf are both given: give one"):
-        IncidentShader(receivers("incident"), exponent=3.0, brdf=brdf.Lambert())
+        shader(receivers("incident"), exponent=3.0, brdf=brdf.Lambert())
 
 
 def test_refuses_to_learn_the_exponent_of_a_brdf():
@@ -149,28 +149,29 @@ def test_a_material_given_at_run_time_is_one_given_before(projection):
     model, incident = brdf.Phong(6), receivers("incident", channels=3, output_order=4)
     for order in (None, 2):
         glossy = with_material(incident, model, order, projection)
-        assert glossy.output_order == (order or 4)
-        assert glossy.materials == ["phong:6"]
-        later = IncidentShader(incident, brdf=model, output_order=order, projection=projection)
+        assert list(glossy.layers) == ["exit"]
+        assert gloss(glossy).output_order == (order or 4)
+        assert gloss(glossy).materials == ["phong:6"]
+        later = shader(incident, brdf=model, output_order=order, projection=projection)
         eye = torch.tensor([3.0, 4.0, 5.0]).double()
         wanted = shader(glossy)(light(), eye=eye)
         assert (later(light(), eye=eye) - wanted).abs().max() < 1e-12 * wanted.abs().max()
 
 
 def test_a_material_on_half_precision_and_on_no_receiver():
-    stored = receivers("incident").to(torch.float16)
-    glossy = with_material(stored, brdf.Phong(6))
-    assert glossy.matrix.dtype == torch.float16
-    exact = with_material(dataclasses.replace(stored, matrix=stored.matrix.double()), brdf.Phong(6))
-    assert (glossy.matrix - exact.matrix).abs().max() < 2**-11 * exact.matrix.abs().max()
+    half = receivers("incident").to(torch.float16)
+    found = stored(with_material(half, brdf.Phong(6)))
+    assert found.dtype == torch.float16
+    exact = stored(with_material(half.to(torch.float64), brdf.Phong(6)))
+    assert (found - exact).abs().max() < 2**-11 * exact.abs().max()
     empty = random_glossy("incident", vertices=3, glossy=0)
-    assert with_material(empty, brdf.Phong(6)).matrix.shape == (1, 0, 9, 16)
+    assert stored(with_material(empty, brdf.Phong(6))).shape == (1, 0, 9, 16)
 
 
 def test_a_material_chosen_later_converges_to_one_baked_in():
     """What is lost is transferred incident radiance above its order: a horizon that SH draw ever sharper."""
     model, eye = brdf.Phong(6), torch.tensor([3.0, 4.0, 5.0]).double()
-    wanted = shader(unshadowed_glossy(model, 6))(light(), eye=eye)
+    wanted = shader(unshadowed_exit(model, 6))(light(), eye=eye)
     errors = [
         float((shader(with_material(unshadowed_incident(order), model, 6))(light(), eye=eye) - wanted).norm())
         for order in (1, 2, 3)
@@ -192,18 +193,15 @@ def test_full_visibility_on_the_fly_is_the_unshadowed_matrix(projection):
         specular=(1, 1),
         dtype=torch.float64,
     )
-    nodes, weights = sh.gauss_legendre_hemisphere(transfer.degree)
+    nodes, weights = sh.gauss_legendre_hemisphere(gloss(transfer).degree)
     everywhere = torch.zeros(9, 3, dtype=torch.float64)
     everywhere[0] = math.sqrt(2 * math.pi)
     kernel = brdf.exit_kernel(model, nodes, 4, projection)
-    transfer = dataclasses.replace(transfer, visibility=everywhere, kernel=kernel * weights)
+    transfer = replaced(transfer, values=everywhere[None], kernel=kernel * weights)
     matrix = torch.stack([(kernel * weights) @ sh.basis(nodes @ frame, ORDER) for frame in frames(transfer)])
-    shared = {
-        field.name: getattr(transfer, field.name)
-        for field in dataclasses.fields(transfer)
-        if field.name in ("positions", "normals", "faces", "albedo", "glossy", "tangents", "specular", "diffuse")
-    }
-    stored = GlossyTransfer(**shared, matrix=matrix[None], output_order=4, projection=projection)
+    shared = {name: getattr(gloss(transfer), name) for name in ("receivers", "tangents", "specular")}
+    layer = Exit(signal=Dense(values=matrix[None]), output_order=4, projection=projection, **shared)
+    matrices = dataclasses.replace(transfer, layers={"diffuse": transfer.layers["diffuse"], "exit": layer})
     eye = torch.tensor([3.0, 4.0, 5.0]).double()
-    wanted = shader(stored)(light(), eye=eye)
+    wanted = shader(matrices)(light(), eye=eye)
     assert (shader(transfer)(light(), eye=eye) - wanted).abs().max() < 1e-13 * wanted.abs().max()

@@ -1,6 +1,5 @@
 """Does a transfer come back from its file as it went, and is everything else refused by name?"""
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -8,10 +7,11 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from transfers import gloss, random_glossy, replaced, same, stored
 
 from torchprt.errors import InputError
 from torchprt.transfer import FORMAT, load, save
-from torchprt.transfer.layout import FLOATS, tensors
+from torchprt.transfer.layout import FLOATS
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_refuses_a_file_cut_short_anywhere(written, tmp_path):
             load(cut)
 
 
-@pytest.mark.parametrize("name", ["transfer", "albedo", "positions", "normals", "faces"])
+@pytest.mark.parametrize("name", ["diffuse.signal.values", "diffuse.albedo", "positions", "normals", "faces"])
 def test_names_a_missing_tensor(written, name):
     values, metadata = parts(written)
     del values[name]
@@ -76,7 +76,9 @@ def test_names_a_missing_tensor(written, name):
         load(written)
 
 
-@pytest.mark.parametrize("name", ["transport", "bounces", "rays", "seed", "error", "signal", "version"])
+@pytest.mark.parametrize(
+    "name", ["transport", "bounces", "rays", "seed", "error", "signal", "version", "receivers", "layers"]
+)
 def test_names_missing_metadata(written, name):
     values, metadata = parts(written)
     del metadata[name]
@@ -97,7 +99,15 @@ def test_names_metadata_that_is_not_json(written):
     [
         ({"format": str(FORMAT + 1)}, f"format {FORMAT + 1}, newer than the {FORMAT}.*update torchprt"),
         ({"format": "next"}, "format next"),
-        ({"kind": "holographic"}, "kind 'holographic', which this torchprt does not know"),
+        ({"receivers": '{"kind": "voxels"}'}, "receivers of kind 'voxels' is unknown .*: update torchprt"),
+        (
+            {"layers": '[{"name": "diffuse", "kind": "holographic", "signal": {"kind": "dense"}}]'},
+            "layer of kind 'holographic' is unknown to this torchprt: update torchprt",
+        ),
+        (
+            {"layers": '[{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "wavelet"}}]'},
+            "signal of kind 'wavelet' is unknown to this torchprt: update torchprt",
+        ),
     ],
 )
 def test_refuses_what_a_newer_torchprt_wrote(written, entries, message):
@@ -110,10 +120,10 @@ def test_refuses_what_a_newer_torchprt_wrote(written, entries, message):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("transfer", torch.zeros(1, 16, 25, dtype=torch.int8), "int8"),
-        ("transfer", torch.zeros(1, 17, 25), "17 coefficients"),
-        ("transfer", torch.full((1, 16, 25), torch.nan), "holds 400 NaN"),
-        ("albedo", torch.zeros(7, 3), "shape"),
+        ("diffuse.signal.values", torch.zeros(1, 16, 25, dtype=torch.int8), "int8"),
+        ("diffuse.signal.values", torch.zeros(1, 17, 25), "17 coefficients"),
+        ("diffuse.signal.values", torch.full((1, 16, 25), torch.nan), "'diffuse.signal.values' .* holds 400 NaN"),
+        ("diffuse.albedo", torch.zeros(7, 3), "about 7 receivers, but its signal holds 25"),
         ("positions", torch.full((25, 3), -torch.inf), "'positions' .* infinite"),
         ("faces", torch.tensor([[0, 1, 99]]), "name vertices"),
     ],
@@ -133,13 +143,41 @@ def test_comes_back_bit_for_bit(make_transfer, tmp_path, dtype, channels):
         signal=0.25, version="0.1.0",
     )  # fmt: skip
     save(transfer, tmp_path / "a.safetensors")
-    back = load(tmp_path / "a.safetensors")
-    for name, value in tensors(transfer).items():
-        assert getattr(back, name).dtype == value.dtype
-        assert torch.equal(getattr(back, name), value)
-    for field in dataclasses.fields(transfer):
-        if field.name not in transfer.layouts:
-            assert getattr(back, field.name) == getattr(transfer, field.name)
+    assert same(load(tmp_path / "a.safetensors"), transfer)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"layers": "5"},
+        {"layers": "null"},
+        {"layers": "[[]]"},
+        {"layers": '[{"kind": "diffuse", "signal": {"kind": "dense"}}]'},
+        {"layers": '[{"name": "diffuse", "kind": "diffuse"}]'},
+        {"layers": '[{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense", "lobes": 3}}]'},
+        {"receivers": "{}"},
+        {"receivers": '{"kind": "texels", "rows": "many", "columns": 5}'},
+    ],
+)
+def test_refuses_metadata_that_say_something_else(written, entries):
+    values, metadata = parts(written)
+    save_file(values, written, metadata=metadata | entries)
+    with pytest.raises(InputError, match=r"(?s)scene\.safetensors has damaged metadata \(.*\): bake it again"):
+        load(written)
+
+
+def test_refuses_no_layers(written):
+    values, metadata = parts(written)
+    save_file(values, written, metadata=metadata | {"layers": "[]"})
+    with pytest.raises(InputError, match=r"scene\.safetensors: the transfer has no layer"):
+        load(written)
+
+
+def test_layers_that_share_tensors_are_written(tmp_path):
+    transfer = random_glossy(glossy=4)
+    shared = transfer.with_layers(coat=gloss(transfer).replace(signal=gloss(transfer).signal.take(torch.arange(4))))
+    save(shared, tmp_path / "a.safetensors")
+    assert same(load(tmp_path / "a.safetensors"), shared)
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -150,16 +188,16 @@ def test_no_vertex_and_one_vertex_come_back(make_transfer, tmp_path, side):
 
 def test_extreme_values_come_back(make_transfer, tmp_path):
     transfer = make_transfer()
-    transfer.transfer[0, :, :3] = torch.tensor([1e-30, -1e30, torch.finfo(torch.float32).max])
+    stored(transfer)[0, :, :3] = torch.tensor([1e-30, -1e30, torch.finfo(torch.float32).max])
     save(transfer, tmp_path / "a.safetensors")
-    assert torch.equal(load(tmp_path / "a.safetensors").transfer, transfer.transfer)
+    assert torch.equal(stored(load(tmp_path / "a.safetensors")), stored(transfer))
 
 
 def test_tensors_that_are_views_or_need_gradients_are_written(make_transfer, tmp_path):
     transfer = make_transfer()
-    view = dataclasses.replace(transfer, transfer=transfer.transfer.mT.contiguous().mT.requires_grad_())
+    view = replaced(transfer, values=stored(transfer).mT.contiguous().mT.requires_grad_())
     save(view, tmp_path / "a.safetensors")
-    assert torch.equal(load(tmp_path / "a.safetensors").transfer, transfer.transfer)
+    assert torch.equal(stored(load(tmp_path / "a.safetensors")), stored(transfer))
 
 
 def test_metadata_are_readable_without_torchprt(written):
@@ -168,6 +206,8 @@ def test_metadata_are_readable_without_torchprt(written):
     assert metadata["format"] == str(FORMAT)
     assert "Condon-Shortley" in metadata["conventions"]
     assert json.loads(metadata["transport"]) == "shadowed"
+    assert json.loads(metadata["receivers"]) == {"kind": "vertices"}
+    assert json.loads(metadata["layers"]) == [{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense"}}]
 
 
 def test_refuses_another_suffix_and_writes_nothing(make_transfer, tmp_path):
@@ -179,7 +219,7 @@ def test_refuses_another_suffix_and_writes_nothing(make_transfer, tmp_path):
 def test_refuses_values_that_are_not_finite_and_keeps_the_old_file(make_transfer, written):
     before = written.read_bytes()
     transfer = make_transfer()
-    transfer.transfer[0, 0, 0] = torch.nan
+    stored(transfer)[0, 0, 0] = torch.nan
     with pytest.raises(InputError, match="holds 1 NaN"):
         save(transfer, written)
     assert written.read_bytes() == before

@@ -11,7 +11,7 @@ from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
 from .patch import lay, sample
 from .shader import Shader, shader
-from .signal import SignalModule, signal_module
+from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
 from .zonal import ZonalSignal
 
@@ -26,6 +26,7 @@ __all__ = [
     "FixedLightShader",
     "IncidentLayer",
     "LayerModule",
+    "Making",
     "Shader",
     "SignalModule",
     "VisibilityLayer",

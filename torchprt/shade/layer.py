@@ -47,7 +47,7 @@ class LayerModule(nn.Module, abc.ABC):
         self.signal = signal_module(layer.signal, making, lost)
 
     @property
-    def weight(self) -> Float[Tensor, "_ _"]:
+    def weight(self) -> Float[Tensor, "#G #3"]:
         value: Tensor = getattr(self, self.weight_name)
         return value
 

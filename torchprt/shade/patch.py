@@ -63,7 +63,7 @@ def lay(
     return Transfer(receivers=vertices, layers=layers, **patch.provenance)
 
 
-def sample(patch: Transfer, uv: Float[Tensor, "V 2"]) -> tuple[Zonal, Float[Tensor, "_ _"]]:
+def sample(patch: Transfer, uv: Float[Tensor, "V 2"]) -> tuple[Zonal, Float[Tensor, "#V #3"]]:
     """The lobes of a patch at texture coordinates, in the tangent frame, and the albedo there.
 
     Bands 0 and 1 where they are stored apart, and the albedo, are bilinear between the centres of texels; lobes are

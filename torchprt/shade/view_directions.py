@@ -28,10 +28,11 @@ def local_frames(
 
 
 def toward_eye(
-    points: Float[Tensor, "3 G"], eye: Float[Tensor, "*B 3"] | None, view: Float[Tensor, "*B 3"] | None
+    points: Float[Tensor, "3 *P G"], eye: Float[Tensor, "*B 3"] | None, view: Float[Tensor, "*B 3"] | None
 ) -> Float[Tensor, "3 ..."]:
     """World directions toward the eye, of any length, `[3, *B, G]`; G = 1 for `view`, one direction for all receivers.
 
+    Batches of `points`, one for each pose, and of eyes broadcast.
     Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
     are finite and `view` is not zero.
     """
@@ -49,7 +50,9 @@ def toward_eye(
             raise InputError("view is a zero vector: give a direction from the surface toward the eye")
     lanes = value.movedim(-1, 0).unsqueeze(-1)
     if eye is not None:
-        return lanes - points.reshape(3, *(1,) * (eye.ndim - 1), points.shape[-1])
+        batch = max(lanes.ndim, points.ndim) - 2
+        lanes, points = (part.reshape(3, *(1,) * (batch - part.ndim + 2), *part.shape[1:]) for part in (lanes, points))
+        return lanes - points
     # Here already, so that a view of any length has a length below.
     return lanes / lanes.abs().amax(0).detach()
 

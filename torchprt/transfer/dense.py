@@ -52,6 +52,13 @@ class Dense(Signal):
         channels, receivers, rows, columns = self.values.shape
         return receivers, channels, rows, columns
 
+    def laid_out(self, matrices: bool) -> Dense:
+        """As matrices, or as vectors if there is one row: the same numbers, in the layout that a layer is of."""
+        if matrices == (self.values.ndim == 4) or self.shape[2] != 1:
+            return self
+        values = self.values.mT.unsqueeze(2) if matrices else self.values.squeeze(2).mT
+        return Dense(values=values.contiguous())
+
     def to_order(self, order: int) -> Dense:
         count = columns_of(order, math.isqrt(self.shape[3]))
         kept = self.values[:, :count] if self.values.ndim == 3 else self.values[..., :count]

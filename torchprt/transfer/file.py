@@ -51,7 +51,14 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
     metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
     metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
-    contents = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    contents: dict[str, Tensor] = {}
+    for name, value in tensors.items():
+        value = value.detach().cpu().contiguous()
+        # Layers may share tensors, which a file may not.
+        shared = any(
+            value.untyped_storage().data_ptr() == each.untyped_storage().data_ptr() for each in contents.values()
+        )
+        contents[name] = value.clone() if shared else value
     with atomic(path) as temporary:
         save_file(contents, temporary, metadata=metadata)
 
@@ -113,6 +120,11 @@ def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Callabl
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     except (KeyError, TypeError, AttributeError) as fault:
         raise InputError(f"{path} has damaged metadata ({fault}): bake it again") from fault
+    except (IndexError, ValueError, RuntimeError) as fault:
+        # Of so few dimensions that it cannot be brought into the layouts of today.
+        raise InputError(
+            f"{path} has a tensor of a shape that its kind has not: it is damaged, bake it again"
+        ) from fault
     return transfer
 
 

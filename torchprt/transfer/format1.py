@@ -101,10 +101,12 @@ def _patch(tensor: Callable[[str], Tensor], entry: Callable[[str], Any], provena
     parts = {name: tensor(name).flatten(-2) for name in ("axis", "coefficients", "exact")}
     rows, columns = tensor("axis").shape[2:]
     albedo = tensor("albedo")
+    if albedo.ndim != 3:
+        raise InputError(f"tensor 'albedo' of the transfer has shape {list(albedo.shape)}: it must be [3|1, H|1, W|1]")
     albedo = albedo.expand(-1, rows, columns).flatten(1) if albedo[0].numel() > 1 else albedo[..., 0]
     signal = Zonal(
         **_with_row(**parts),
-        squared_error=tensor("squared_error").flatten(),
+        squared_error=tensor("squared_error").flatten(-2),
         smooth=entry("smooth"),
         fit_error=entry("fit_error"),
     )

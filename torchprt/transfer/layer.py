@@ -12,6 +12,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.transfer.dense import Dense
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, bytes_of, check_indices
 from torchprt.transfer.signal import Signal
 
@@ -27,17 +28,21 @@ class Layer(Part, abc.ABC):
     - `weight_name`: the field that is its weight, `[G or 1, 3 or 1]`, in [0, 1], which is applied at run time.
     - `needs`: what must be known beside the light: "eye", and "reflectance" if that is chosen when a shader is made.
     - `meets_light`: a light of the world is applied to the signal itself, whose columns are its SH coefficients.
+    - `matrices`: its dense signal is one of matrices, be it of one row, and not of vectors; the other is converted.
     """
 
     family: ClassVar[dict[str, type[Any]]] = {}
     needs: ClassVar[frozenset[str]] = frozenset()
     meets_light: ClassVar[bool] = True
+    matrices: ClassVar[bool] = False
     weight_name: ClassVar[str]
 
     signal: Signal
     receivers: Tensor | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.signal, Dense):
+            self.signal = self.signal.laid_out(self.matrices)
         sizes = self.sizes()
         if self.signal.follows_pose and not self.meets_light:
             raise InputError(
@@ -85,7 +90,8 @@ class Layer(Part, abc.ABC):
         rows = {
             name: getattr(self, name)[index]
             for name, layout in self.layouts.items()
-            if layout.shape[0].startswith("G") and name != "receivers" and len(getattr(self, name)) > 1
+            if name != "receivers"
+            and (layout.shape[0] == "G" or (layout.shape[0] == "G|1" and len(getattr(self, name)) > 1))
         }
         return self.replace(signal=self.signal.take(index), receivers=receivers, **rows)
 
@@ -150,6 +156,7 @@ class EyeLayer(Layer):
 
     weight_name: ClassVar[str] = "specular"
     needs: ClassVar[frozenset[str]] = frozenset({"eye"})
+    matrices: ClassVar[bool] = True
     layouts: ClassVar[dict[str, Layout]] = {
         "tangents": Layout(("G", "3"), REAL),
         "specular": Layout(("G|1", "3|1")),

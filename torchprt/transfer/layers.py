@@ -111,6 +111,7 @@ class Visibility(EyeLayer):
 
     kind: ClassVar[str] = "visibility"
     meets_light: ClassVar[bool] = False
+    matrices: ClassVar[bool] = False
     layouts: ClassVar[dict[str, Layout]] = EyeLayer.layouts | {"kernel": Layout(("M", "D"), REAL)}
 
     kernel: Tensor
@@ -125,6 +126,8 @@ class Visibility(EyeLayer):
         super().__post_init__()
         if self.signal.shape[1:3] != (1, 1):
             raise InputError("visibility of the transfer must be one vector a receiver, of one channel")
+        if self.signal.follows_pose:
+            raise InputError("visibility of the transfer turns with the frames of receivers: it cannot be in lobes")
         _check_rows("kernel", self.kernel.shape[0], self.output_order, self.projection)
         nodes = (self.degree // 2 + 1) * (self.degree + 1)
         if self.kernel.shape[1] != nodes:

@@ -20,8 +20,8 @@ WHOLE = (torch.int32, torch.int64)
 class Layout:
     """Shape letters and dtypes that a tensor must have; equal letters of one part mean equal sizes.
 
-    A letter with alternatives, as `V|1`, also accepts the literal size behind the bar. An `optional` tensor may
-    be None.
+    A letter with an alternative, as `V|1`, also accepts the literal size behind the bar, which then says nothing of
+    other tensors. An `optional` tensor may be None.
     """
 
     shape: tuple[str, ...]
@@ -82,9 +82,10 @@ class Part:
                 options = {int(each) if each.isdigit() else sizes.get(each, size) for each in letters.split("|")}
                 if size not in options:
                     known = ", ".join(f"{letter} = {count}" for letter, count in sizes.items())
-                    raise InputError(f"{wanted} with {known}")
-                if letters.isalpha():
-                    sizes[letters] = size
+                    raise InputError(f"{wanted} with {known}" if known else wanted)
+                letter, *literal = letters.split("|")
+                if letter.isalpha() and str(size) not in literal:
+                    sizes[letter] = size
         return sizes
 
     def check(self, of: str = "") -> None:

@@ -17,6 +17,8 @@ from torchprt.transfer.layer import Diffuse, Layer
 from torchprt.transfer.receivers import Receivers, Vertices
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
+# A shader keeps its layers by name in a module, which has these already.
+_TAKEN = frozenset(dir(torch.nn.ModuleDict()))
 
 
 @dataclass(kw_only=True)
@@ -49,8 +51,10 @@ class Transfer:
         if not self.layers:
             raise InputError("the transfer has no layer: give one or more")
         for name, layer in self.layers.items():
-            if not name.isidentifier() or hasattr(torch.nn.ModuleDict, name):
-                raise InputError(f"layer '{name}' of the transfer: give it another name, a plain word")
+            if not name.isidentifier():
+                raise InputError(f"layer '{name}' of the transfer: give it a name of letters, digits and underscores")
+            if name in _TAKEN:
+                raise InputError(f"layer '{name}' of the transfer: modules of torch use that name, give it another")
             layer.check_among(self.vertices)
         orders = {layer.order for layer in self.layers.values()}
         if len(orders) > 1:
@@ -106,7 +110,7 @@ class Transfer:
         return self.receivers.faces
 
     @property
-    def albedo(self) -> Float[Tensor, "_ _"]:
+    def albedo(self) -> Float[Tensor, "#V #3"]:
         """That of the diffuse layer, zero if there is none."""
         found = [layer for layer in self.layers.values() if isinstance(layer, Diffuse) and layer.receivers is None]
         return found[0].albedo if found else torch.zeros(1, 1, device=self.positions.device)
@@ -148,7 +152,7 @@ class Transfer:
 
 def diffuse_transfer(
     vectors: Float[Tensor, "C N V"],
-    albedo: Float[Tensor, "_ _"],
+    albedo: Float[Tensor, "#V #3"],
     positions: Float[Tensor, "V 3"],
     normals: Float[Tensor, "V 3"],
     faces: Int[Tensor, "F 3"],

@@ -7,8 +7,9 @@ import torch
 from zonal_transfers import bumpy, random_zonal, turns
 
 from torchprt.errors import InputError
+from torchprt.pose import SkinnedMesh, deformed_frames
 from torchprt.sh import check_rotation
-from torchprt.shade import SkinnedMesh, deformed_frames, shader
+from torchprt.shade import shader
 
 EPSILON = torch.finfo(torch.float64).eps
 

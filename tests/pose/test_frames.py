@@ -8,8 +8,8 @@ from torch.nn.functional import normalize
 from zonal_transfers import bumpy, turns
 
 from torchprt.errors import InputError
+from torchprt.pose import DeformedFrames, deformed_frames, nearest_rotation
 from torchprt.sh import check_rotation
-from torchprt.shade import DeformedFrames, deformed_frames, nearest_rotation
 
 EPSILON = {torch.float32: torch.finfo(torch.float32).eps, torch.float64: torch.finfo(torch.float64).eps}
 IDENTITY = torch.eye(3, dtype=torch.float64)
