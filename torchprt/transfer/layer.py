@@ -44,11 +44,6 @@ class Layer(Part, abc.ABC):
         if isinstance(self.signal, Dense):
             self.signal = self.signal.laid_out(self.matrices)
         sizes = self.sizes()
-        if self.signal.follows_pose and not self.meets_light:
-            raise InputError(
-                f"{self.kind} has no lobes: what its signal holds turns with the frame of each receiver, and not as the "
-                "light does: store it whole or in clusters"
-            )
         count = self.signal.shape[0]
         if sizes.get("G", count) != count:
             raise InputError(
