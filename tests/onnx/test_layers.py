@@ -109,12 +109,6 @@ def test_lobes_of_visibility_are_refused_and_it_is_said_why():
         cell(*REFUSED)
 
 
-def test_lobes_that_come_from_elsewhere_are_no_visibility_either():
-    lobes = gloss(cell("diffuse", "zonal")).signal.take(torch.arange(GLOSSY))
-    with pytest.raises(InputError, match="visibility has no lobes"):
-        whole("visibility").layers["visibility"].replace(signal=lobes)
-
-
 @pytest.mark.parametrize(("layer", "signal"), CELLS)
 def test_every_layer_with_every_signal_shades_as_it_is_defined(layer, signal):
     transfer = cell(layer, signal)
