@@ -28,7 +28,7 @@ class ShaderGraph(nn.Module):
         super().__init__()
         self.receive = LightSource(shader.order, size if source == "environment" else None)
         self.estimate = shader.estimate if pose == "positions" else None
-        layers = shader.layers.values()
+        layers = [layer for layer in shader.layers.values() if layer.signal.shape[0]]
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, pose is not None) for layer in layers)
 
     def forward(self, light: Tensor, rotation: Tensor, eye: Tensor | None = None, pose: Tensor | None = None) -> Tensor:
@@ -53,7 +53,7 @@ class FixedLightGraph(nn.Module):
         """`light [N, 3]`."""
         super().__init__()
         radiance = shader.fix_light(light).radiance
-        layers = [layer for layer in shader.layers.values() if "eye" in layer.needs]
+        layers = [layer for layer in shader.layers.values() if "eye" in layer.needs and layer.signal.shape[0]]
         self.layers = nn.ModuleList(layer_graph(layer, shader.vertices, eye, light=light) for layer in layers)
         self.register_buffer("below", None if radiance is None else radiance.detach().float().contiguous())
 
