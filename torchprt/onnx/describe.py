@@ -47,10 +47,11 @@ def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
     `about`: what the arguments of the export add. `layers` says of each layer its name, its kind and its signal; what
-    the last one and its signal say of themselves stands beside it. Transfer that depends on the eye adds `glossy` (how
-    many receivers the last layer is about), `specular` and `output_order`.
+    the last one (of those that depend on the eye, if there are any) and its signal say of themselves stands beside it.
+    Transfer that depends on the eye adds `glossy` (how many receivers that layer is about), `specular` and
+    `output_order`.
     """
-    last = list(transfer.layers.values())[-1]
+    last = [*transfer.layers.values(), *transfer.eye_layers.values()][-1]
     entries = {
         "torchprt": VERSION,
         "format": FORMAT,
