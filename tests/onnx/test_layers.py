@@ -171,6 +171,15 @@ def test_a_file_says_what_its_layers_are(tmp_path):
     assert (about["glossy"], about["output_order"]) == (GLOSSY, 2)
 
 
+def test_what_depends_on_the_eye_is_told_wherever_it_stands(tmp_path):
+    transfer = Transfer(receivers=whole().receivers, layers=dict(reversed(whole().layers.items())))
+    assert transfer.kind == "exit + diffuse"
+    export(transfer, tmp_path / "a.onnx", check=False)
+    about = describe(tmp_path / "a.onnx")
+    assert [layer["name"] for layer in about["layers"]] == ["exit", "diffuse"]
+    assert (about["glossy"], about["specular"], about["output_order"]) == (GLOSSY, "applied, one a receiver", 2)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_clusters_of_one_layer_stand_beside_those_of_another(kind, tmp_path):
     transfer = compress(whole(kind), layer="diffuse", clusters=2, components=2)
@@ -193,6 +202,18 @@ def two_eye_layers():
 @pytest.mark.parametrize("fixed", [{}, {"fix_light": light()}, {"fix_eye": VIEW}], ids=["all", "light", "eye"])
 def test_two_layers_that_depend_on_the_eye_are_one_graph(fixed, tmp_path):
     transfer = two_eye_layers()
+    report = export(transfer, tmp_path / "a.onnx", eye="direction", **fixed)
+    assert report.parity.passed
+    inputs = {name: value for name, value in (("light", light()), ("view", VIEW)) if name in report.inputs}
+    found, wanted = run(tmp_path / "a.onnx", **inputs), defined(transfer, light(), VIEW)
+    assert same(found, wanted, tolerance(ORDER, shader(transfer)))
+
+
+@pytest.mark.parametrize("fixed", [{}, {"fix_light": light()}], ids=["all", "light"])
+def test_a_layer_without_receivers_is_left_out(fixed, tmp_path):
+    none = torch.arange(0)
+    transfer = two_eye_layers()
+    transfer = transfer.with_layers(exit=transfer.layers["exit"].take(none, none))
     report = export(transfer, tmp_path / "a.onnx", eye="direction", **fixed)
     assert report.parity.passed
     inputs = {name: value for name, value in (("light", light()), ("view", VIEW)) if name in report.inputs}
