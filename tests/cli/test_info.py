@@ -16,6 +16,6 @@ def test_info_tells_of_every_layer_by_its_name(done, tmp_path):
     save(fit(baked, lobes=2), tmp_path / "a.safetensors")
     said = done("info", tmp_path / "a.safetensors")
     assert "zonal diffuse + zonal exit, shadowed, order 3, output order 2 (optimal)" in said
-    assert "\ndiffuse: 2 lobes a vertex, bands 0 and 1 exact, fit error " in said
-    assert "\nexit: 2 lobes a row, bands 0 and 1 exact, fit error " in said
+    assert "\ndiffuse: 2 lobes a vertex, fit error " in said
+    assert "\nexit: 2 lobes a row, fit error " in said
     assert "\nexit: materials phong:4, specular of every vertex, mean (" in said
