@@ -13,7 +13,6 @@ the albedo is fixed, here by its mean in each channel, which is taken as known (
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 import torch
@@ -26,19 +25,18 @@ from torchprt.measure import relative_rms
 ORDER = 5
 
 
-def fit(
-    radiance: Tensor, transfer: prt.DiffuseTransfer, turns: Tensor, mean: Tensor, steps: int
-) -> tuple[Tensor, Tensor]:
+def fit(radiance: Tensor, transfer: prt.Transfer, turns: Tensor, mean: Tensor, steps: int) -> tuple[Tensor, Tensor]:
     """Light `[N, 3]` and albedo `[V, 3]` whose radiance under the rotations `turns [B, 3, 3]` is `radiance [B, V, 3]`.
 
     `mean [3]` is the mean of the albedo over the vertices that receive light.
     """
     shader = prt.shader(transfer, dtype=torch.float64, learn=["albedo"])
+    reflected = shader.layers["diffuse"].albedo
     light = torch.nn.Parameter(prt.light.constant(1.0, ORDER).double())
     turns, radiance = turns.double(), radiance.double()
     size = radiance.square().mean()
     optimiser = torch.optim.LBFGS(
-        [light, shader.albedo],
+        [light, reflected],
         max_iter=steps,
         history_size=50,
         tolerance_grad=0,
@@ -58,9 +56,18 @@ def fit(
     for step in range(0, len(errors), max(1, len(errors) // 5)):
         print(f"evaluation {step}: relative RMS error of the radiance {errors[step]:.3%}")
     # What one factor loses the other takes up: the radiance does not change.
-    lit = transfer.transfer.abs().sum((0, 1)) > 0
-    scale = mean.double() / shader.albedo.detach()[lit].mean(0)
-    return (light.detach() / scale).float(), (shader.albedo.detach() * scale).float()
+    scale = mean.double() / reflected.detach()[lit(transfer)].mean(0)
+    return (light.detach() / scale).float(), (reflected.detach() * scale).float()
+
+
+def lit(transfer: prt.Transfer) -> Tensor:
+    """Which vertices receive light, bool `[V]`."""
+    return transfer.layers["diffuse"].signal.dense().values.abs().sum((0, 1)) > 0
+
+
+def with_albedo(transfer: prt.Transfer, albedo: Tensor) -> prt.Transfer:
+    """The same surface in other colours."""
+    return transfer.with_layers(diffuse=transfer.layers["diffuse"].replace(albedo=albedo))
 
 
 def main(arguments: list[str] | None = None) -> dict[str, float]:
@@ -75,21 +82,21 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     # Learning an albedo needs a bake without bounces: with them it is part of what other surfaces receive.
     transfer = prt.bake(prt.samples.coloured_box(given.resolution), order=ORDER, rays=given.rays, progress=False)
     true_albedo, true_light = transfer.albedo, prt.light.project(prt.light.studio(128), ORDER)
-    lit = transfer.transfer.abs().sum((0, 1)) > 0
+    seen = lit(transfer)
     turns = sh.yaw_pitch_roll(torch.tensor([[0.0, 0, 0], [90, 0, 0], [180, 0, 0], [270, 0, 0]]))
     with torch.no_grad():
         radiance = prt.shader(transfer)(true_light, turns)
 
     grey = torch.full_like(true_albedo, 0.5)
-    unknown = dataclasses.replace(transfer, albedo=grey)
-    light, albedo = fit(radiance, unknown, turns, true_albedo[lit].mean(0), given.steps)
+    unknown = with_albedo(transfer, grey)
+    light, albedo = fit(radiance, unknown, turns, true_albedo[seen].mean(0), given.steps)
 
     with torch.no_grad():
-        again = prt.shader(dataclasses.replace(transfer, albedo=albedo.clamp(0, 1)))(light, turns)
+        again = prt.shader(with_albedo(transfer, albedo.clamp(0, 1)))(light, turns)
         start = prt.shader(unknown)(prt.light.constant(1.0, ORDER).float())
     errors = {
         "light": relative_rms(light, true_light),
-        "albedo": relative_rms(albedo[lit], true_albedo[lit]),
+        "albedo": relative_rms(albedo[seen], true_albedo[seen]),
         "radiance": relative_rms(again, radiance),
     }
     for name, error in errors.items():

@@ -36,7 +36,7 @@ from torchprt.compression import (
 from torchprt.measure import Table
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, read_mesh, samples
 from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer, load, save
+from torchprt.transfer import Transfer, load, save
 from torchprt.transport import bake
 
 OUT = Path("reproduced")
@@ -81,27 +81,31 @@ def kept(name: str, scene: Scene, **options: Any) -> Any:
 
 
 @functools.cache
-def diffuse(model: str) -> DiffuseTransfer:
+def diffuse(model: str) -> Transfer:
     name, shape = mesh(model)
     order = ORDERS[model]
     return kept(f"{name}_diffuse_{order}", Scene([Object(shape, Material(0.6))]), order=order)
 
 
 @functools.cache
-def glossy(model: str) -> GlossyTransfer:
+def glossy(model: str) -> Transfer:
     name, shape = mesh(model)
     scene = Scene([Object(shape, Material(0.0, gloss=MATERIAL))])
     return kept(f"{name}_{MATERIAL.replace(':', '_')}_5", scene, order=5)
 
 
+def stored(transfer: Transfer) -> Any:
+    """The signal of the only layer that there is."""
+    (layer,) = transfer.layers.values()
+    return layer.signal
+
+
 def signal(transfer: Transfer) -> Tensor:
-    if isinstance(transfer, DiffuseTransfer):
-        return transfer.transfer.permute(2, 0, 1).flatten(1).float()
-    assert isinstance(transfer, GlossyTransfer)
-    return transfer.matrix.transpose(0, 1).flatten(1).float()
+    values = stored(transfer).values
+    return values.movedim(2 if values.ndim == 3 else 1, 0).flatten(1).float()
 
 
-def compressed(transfer: DiffuseTransfer | GlossyTransfer, name: str, **options: Any) -> Any:
+def compressed(transfer: Transfer, name: str, **options: Any) -> Transfer:
     """`compress` of a bake, from OUT if it is there."""
     options = {"clusters": CLUSTERS, **options}
     stem = "_".join([name, transfer.kind, str(transfer.order), *(str(value) for value in options.values())])
@@ -111,8 +115,8 @@ def compressed(transfer: DiffuseTransfer | GlossyTransfer, name: str, **options:
     return load(path)
 
 
-def squared(transfer: Any) -> float:
-    return float(transfer.squared_error.double().sum())
+def squared(transfer: Transfer) -> float:
+    return float(stored(transfer).squared_error.double().sum())
 
 
 def static_errors(data: Tensor, clusters: int, components: tuple[int, ...]) -> dict[int, float]:
@@ -200,9 +204,10 @@ def figure4() -> Table:
             ours = f"{error:.3g} ({error / errors['static']:.2f})"
             table.add(f"{name}, {method}", extra={"published (bird)": published, "torchprt": ours})
         # One scale for the three, whose end a hundredth of the vertices of the first exceeds.
-        most = float(found["static"].squared_error.quantile(0.99))
+        most = float(stored(found["static"]).squared_error.quantile(0.99))
         maps = [
-            view.radiance(preview.error_colours(each.squared_error, most), background=1.0) for each in found.values()
+            view.radiance(preview.error_colours(stored(each).squared_error, most), background=1.0)
+            for each in found.values()
         ]
         shown = [view.picture(radiance(each), exposure=-2.0) for each in found.values()]
         labels = [f"{method} [{errors[method]:.3g}; paper {FIGURE4[method]}]" for method in METHODS]
@@ -223,8 +228,10 @@ def figure5() -> Table:
     panels: dict[str, dict[str, tuple[Tensor, float]]] = {}
     for model in ("smooth", "bumpy"):
         name, faces = mesh(model)[0], glossy(model).faces
-        plain = compressed(glossy(model), name, components=components).label.long()
-        moved = compressed(glossy(model), name, components=components, coherence=budget).label.long()
+        plain, moved = (
+            stored(compressed(glossy(model), name, components=components, **options)).label.long()
+            for options in ({}, {"coherence": budget})
+        )
         labels = {
             "clusters": plain,
             "reclassified": moved,
@@ -328,7 +335,7 @@ def error_over_bytes() -> Table:
         for family, sizes in families.items():
             for size in sizes:
                 found = compressed(transfer, mesh("bumpy")[0], **size)
-                bytes, error = found.bytes - (transfer.bytes - whole), found.compression_error
+                bytes, error = found.bytes, stored(found).compression_error
                 assert error is not None
                 curve[family].append((bytes, error))
                 options = ", ".join(f"{name} {value}" for name, value in size.items())

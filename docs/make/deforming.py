@@ -7,6 +7,7 @@ All of them without a name. Error is RMS relative to the RMS of the reference.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import sys
@@ -24,7 +25,7 @@ from torchprt.pose import SkinnedMesh, deformed_frames, surface_frames
 from torchprt.scene import Material, Mesh, Object, Scene, bend, make_mesh, samples, twist
 from torchprt.shade import lay, sample, shader
 from torchprt.shade.lobes import lobe_vectors
-from torchprt.transfer import DiffuseTransfer, Transfer, ZonalMap, ZonalTransfer, zonal_map
+from torchprt.transfer import Diffuse, Texels, Transfer, Zonal
 from torchprt.transport import bake, bake_patch, membrane_lobes, patch_transfer, wrinkle
 from torchprt.transport.patch import texel_centres
 
@@ -44,16 +45,21 @@ def head() -> Mesh:
     return samples.head().objects[0].mesh
 
 
-def diffuse(mesh: Mesh, positions: Tensor, shadows: bool = True, rays: int = 1024) -> DiffuseTransfer:
+def diffuse(mesh: Mesh, positions: Tensor, shadows: bool = True, rays: int = 1024) -> Transfer:
     """The mesh baked in a pose."""
     scene = Scene([Object(make_mesh(positions, mesh.faces, name=mesh.name), Material(0.6))])
-    baked = bake(scene, order=ORDER, rays=rays, shadows=shadows, progress=False)
-    assert isinstance(baked, DiffuseTransfer)
-    return baked
+    return bake(scene, order=ORDER, rays=rays, shadows=shadows, progress=False)
+
+
+def lobes_of(transfer: Transfer) -> Zonal:
+    """How its diffuse layer is stored."""
+    signal = transfer.layers["diffuse"].signal
+    assert isinstance(signal, Zonal)
+    return signal
 
 
 @functools.cache
-def lobes(count: int) -> ZonalTransfer:
+def lobes(count: int) -> Transfer:
     """Transfer of the head at rest in zonal lobes."""
     return fit(diffuse(head(), head().positions), lobes=count)
 
@@ -67,9 +73,10 @@ def shaded(transfer: Transfer, lights: Tensor, **pose: Tensor) -> Tensor:
         return shader(transfer)(lights, **pose)
 
 
-def turned_vectors(transfer: DiffuseTransfer, frames: Tensor, lights: Tensor) -> Tensor:
+def turned_vectors(transfer: Transfer, frames: Tensor, lights: Tensor) -> Tensor:
     """Radiance of whole transfer vectors turned by the frames: what any number of lobes tends to."""
-    vectors = sh.rotate(transfer.transfer[0].mT[..., None].double(), frames.double())[..., 0]
+    values = transfer.layers["diffuse"].signal.dense().values
+    vectors = sh.rotate(values[0].mT[..., None].double(), frames.double())[..., 0]
     return 0.6 * (vectors.float() @ lights)
 
 
@@ -153,7 +160,7 @@ def popping() -> Table:
 
 
 @functools.cache
-def wings() -> tuple[ZonalTransfer, SkinnedMesh]:
+def wings() -> tuple[Transfer, SkinnedMesh]:
     """The wings as membranes whose fingers let little through, and their skin."""
     transfer = membrane_lobes(samples.wing(), order=ORDER, translucency=samples.wing_translucency())
     return transfer, SkinnedMesh(transfer.positions, samples.wing_rig().weights.float())
@@ -175,7 +182,7 @@ def flapping() -> list[Tensor]:
 PATCHES = {"bumps": (samples.bumps, 7), "waffle": (samples.waffle, 9), "wrinkles": (samples.wrinkles, 4)}
 
 
-def on_the_vase(patch: ZonalMap, around: int, mesh: Mesh, positions: Tensor) -> Tensor:
+def on_the_vase(patch: Transfer, around: int, mesh: Mesh, positions: Tensor) -> Tensor:
     """Radiance of the vase in a pose, covered with a patch; repeated so that patches are square at its belly."""
     laid = lay(patch, mesh.positions.float(), mesh.faces, mesh.uv, repeat=(around, 1.27 * around), normals=mesh.normals)
     return shaded(laid, lamps(), positions=positions.float())
@@ -241,25 +248,22 @@ def grooves() -> Table:
     return table
 
 
-def slopes() -> ZonalMap:
+def slopes() -> Transfer:
     """A map of the slopes of the grooves alone: clamped cosines about tilted normals."""
     rows = columns = 64
     v, u = ((torch.arange(64, dtype=torch.float64) + 0.5) / 64 for _ in range(2))
     slope = -math.pi * DEEP * v[:, None] * torch.sin(2 * math.pi * u)
     normal = torch.nn.functional.normalize(torch.stack([-slope, 0 * slope, 1 + 0 * slope]), dim=0)
     cosine = sh.clamped_cosine(ORDER) / math.pi
-    texels = ZonalTransfer(
-        axis=normal.reshape(1, 3, -1),
-        coefficients=cosine[None, None, :, None].expand(1, 1, ORDER, rows * columns),
-        exact=torch.zeros(1, 0, rows * columns, dtype=torch.float64),
+    signal = Zonal(
+        axis=normal.reshape(1, 1, 3, -1),
+        coefficients=cosine[None, None, None, :, None].expand(1, 1, 1, ORDER, rows * columns),
+        exact=torch.zeros(1, 1, 0, rows * columns, dtype=torch.float64),
         squared_error=torch.zeros(rows * columns, dtype=torch.float64),
-        albedo=torch.ones(1, 1),
-        positions=torch.zeros(rows * columns, 3),
-        normals=normal.reshape(3, -1).mT.contiguous(),
-        faces=torch.zeros(0, 3, dtype=torch.int64),
         smooth=True,
     )
-    return zonal_map(texels, rows, columns, tiles_v=False)
+    texels = Texels(rows=rows, columns=columns, tiles_v=False)
+    return Transfer(receivers=texels, layers={"diffuse": Diffuse(albedo=torch.ones(1, 1), signal=signal)})
 
 
 def carved(mesh: Mesh, depth: Tensor) -> Tensor:
@@ -278,11 +282,11 @@ def fits() -> Table:
         columns: dict[str, str | int] = {}
         for count in (1, 2, 3, 4):
             found = fit(texels, lobes=count)
-            columns[f"N = {count}"] = f"{found.fit_error:.2%}"
+            columns[f"N = {count}"] = f"{lobes_of(found).fit_error:.2%}"
             columns["kB, N = 4"] = round(found.bytes / 1024)
         table.add(name, extra=columns)
     model = wrinkle(32, depth=DEEP)
-    table.add("wrinkle map, 32 x 32", extra={"N = 3": f"{model.fit_error:.2%}"})
+    table.add("wrinkle map, 32 x 32", extra={"N = 3": f"{lobes_of(model).fit_error:.2%}"})
     return table
 
 
@@ -291,14 +295,15 @@ def between() -> Table:
     table = Table("patches between texels, N = 4: relative RMS error against 192 x 192 texels")
     fine = 192
     for name, (sample_of, _) in PATCHES.items():
-        wanted = patch_transfer(sample_of(96), size=fine).transfer
+        wanted = patch_transfer(sample_of(96), size=fine).layers["diffuse"].signal.dense().values
         for size in (32, 64, 128):
             texels = patch_transfer(sample_of(96), size=size)
             columns = {}
             for smooth in (False, True):
-                patch = zonal_map(fit(texels, lobes=4, smooth=smooth), size, size)
-                read = sample(patch, texel_centres(fine, fine))
-                vectors = lobe_vectors(read.axis.movedim(1, 0), read.coefficients, read.exact)
+                fitted = fit(texels, lobes=4, smooth=smooth)
+                patch = dataclasses.replace(fitted, receivers=Texels(rows=size, columns=size))
+                read, _ = sample(patch, texel_centres(fine, fine))
+                vectors = lobe_vectors(read.axis[0].movedim(1, 0), read.coefficients[:, 0], read.exact[:, 0])
                 columns["smooth" if smooth else "nearest"] = f"{relative_rms(vectors, wanted):.1%}"
             table.add(f"{name}, {size} x {size}", extra=columns)
     return table

@@ -31,7 +31,7 @@ from torchprt.preview.session import windowed as windowed_by
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
 from torchprt.shade import display, shader
 from torchprt.trace import Tracer
-from torchprt.transfer import DiffuseTransfer, GlossyTransfer, Transfer
+from torchprt.transfer import Clustered, Transfer
 from torchprt.transport import bake
 
 FOLDER = Path(__file__).parents[1] / "images"
@@ -57,18 +57,23 @@ def stage() -> Scene:
 
 
 @functools.cache
-def staged(bounces: int) -> DiffuseTransfer:
+def staged(bounces: int) -> Transfer:
     return bake(stage(), rays=1024, bounces=bounces, progress=False)
 
 
-def still(transfer: DiffuseTransfer, size: tuple[int, int]) -> preview.Still:
+def vectors(transfer: Transfer, vertex: int) -> Tensor:
+    """The transfer vector of a vertex, the mean of its channels."""
+    return transfer.layers["diffuse"].signal.dense().values[..., vertex].mean(0)
+
+
+def still(transfer: Transfer, size: tuple[int, int]) -> preview.Still:
     # The camera frames the sculpture, not the ground that goes on behind it.
     shape = stage().objects[0].mesh.positions
     camera = preview.frame(shape, (0.35, 0.45, 1.0), aspect=size[0] / size[1])
     return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3)
 
 
-def shaded(transfer: DiffuseTransfer, lamps: Tensor) -> Tensor:
+def shaded(transfer: Transfer, lamps: Tensor) -> Tensor:
     with torch.no_grad():
         return shader(transfer)(lamps)
 
@@ -208,15 +213,21 @@ def projections() -> Tensor:
 
 
 @functools.cache
-def brushed() -> GlossyTransfer:
+def brushed() -> Transfer:
     """A brushed teapot: exit matrices for compression."""
     with warnings.catch_warnings():
         # The smooth field of tangents is what is asked for.
         warnings.simplefilter("ignore", TangentWarning)
         scene = samples.teapot(30_000, Material(0.03, gloss="ward:0.2,0.4", specular=(1.0, 0.85, 0.65)))
-        found = bake(scene, order=5, rays=512, progress=False)
-    assert isinstance(found, GlossyTransfer)
-    return found
+        return bake(scene, order=5, rays=512, progress=False)
+
+
+def packed(**options: Any) -> tuple[Transfer, Clustered]:
+    """The brushed teapot compressed, and the signal of that."""
+    made = compress(brushed(), layer="exit", **options)
+    signal = made.layers["exit"].signal
+    assert isinstance(signal, Clustered)
+    return made, signal
 
 
 def teapot_still(size: tuple[int, int]) -> tuple[preview.Still, preview.Camera]:
@@ -237,9 +248,9 @@ def clusters() -> Tensor:
     found: list[Transfer] = []
     labels = []
     for name, size in sizes.items():
-        packed = compress(brushed(), **size)
-        found.append(packed)
-        labels.append(f"{name}: error {packed.compression_error:.1%}")
+        made, signal = packed(**size)
+        found.append(made)
+        labels.append(f"{name}: error {signal.compression_error:.1%}")
     radiance = [seen_from(each, lamps, camera) for each in [*found, brushed()]]
     exposure = -math.log2(float(still.radiance(radiance[-1], 0.0).quantile(0.99))) - 0.3
     pictures = [still.picture(each, exposure=exposure, background=0.01) for each in radiance]
@@ -250,7 +261,7 @@ def clusters_error() -> Tensor:
     """Squared error of every vertex with 256 clusters of 8 PCA vectors, by method, on one scale."""
     still, _ = teapot_still((340, 240))
     methods = ("static", "iterative", "adaptive")
-    found = [compress(brushed(), clusters=256, components=8, method=method) for method in methods]
+    found = [packed(clusters=256, components=8, method=method)[1] for method in methods]
     most = float(found[0].squared_error.quantile(0.98))
     maps = [still.radiance(preview.error_colours(each.squared_error, most), background=1.0) for each in found]
     labels = [f"{method}: error {each.compression_error:.1%}" for method, each in zip(methods, found, strict=True)]
@@ -327,7 +338,7 @@ def basis() -> plt.Figure:
     return figure
 
 
-def place_of(transfer: DiffuseTransfer, camera: preview.Camera, x: float, y: float) -> int:
+def place_of(transfer: Transfer, camera: preview.Camera, x: float, y: float) -> int:
     """The vertex that is seen at these shares of a square picture, from its upper left corner."""
     ray = camera.through(torch.tensor([[x]]).double(), torch.tensor([[y]]).double(), 1, 1)
     hit = Tracer(transfer.positions, transfer.faces).camera(torch.tensor(camera.eye).double(), ray)
@@ -335,10 +346,10 @@ def place_of(transfer: DiffuseTransfer, camera: preview.Camera, x: float, y: flo
 
 
 def with_lobe(
-    transfer: DiffuseTransfer, vertex: int, colours: Tensor, camera: preview.Camera, size: int, reach: float
+    transfer: Transfer, vertex: int, colours: Tensor, camera: preview.Camera, size: int, reach: float
 ) -> Tensor:
     """The model in sRGB colours, and the transfer function of a vertex upon it, one to `reach` units of length."""
-    coefficients = transfer.transfer[..., vertex].mean(0)
+    coefficients = vectors(transfer, vertex)
     directions, _ = sphere(96)
     largest = float((sh.basis(directions, transfer.order) @ coefficients.double()).abs().max())
     function = preview.lobe(coefficients, transfer.positions[vertex].double(), reach * largest, rings=96)
@@ -390,7 +401,7 @@ def transfer_functions() -> Tensor:
     visible = (seen.view(size, size) != 0).double()
     cosine = directions[..., 2].clamp(min=0)
     table = sh.basis(directions @ frame, 5)
-    held = [math.pi * (table @ each.transfer[..., vertex].mean(0).double()) for each in (shadowed, bounced)]
+    held = [math.pi * (table @ vectors(each, vertex).double()) for each in (shadowed, bounced)]
     maps = [signed(each, inside) for each in (cosine * visible, *held)]
     below = ["what it sees, times the cosine", "shadowed, in 25 coefficients", "interreflected, in 25 coefficients"]
     return torch.cat([preview.sheet(lobes, list(named), 3), preview.sheet(maps, below, 3)])

@@ -63,7 +63,12 @@ def signature(thing: object, name: str) -> str:
         return name
     text = inspect.cleandoc("\n" + indented(found[0])).removeprefix("def ").removesuffix(":")
     text = re.sub(r"^\w+", name, text.removesuffix(" -> None"), count=1)
-    return text.replace("(self, ", "(").replace("(self)", "()").replace("\n    self,", "")
+    # What a method is called on may be written with its type, as what it gives is then.
+    typed = re.search(r"\((?:\n    )?self: (\w+)", text)
+    if typed:
+        text = re.sub(rf"-> {typed[1]}\b", "-> Self", text)
+    text = re.sub(r"(?<=\n    )self(?:: \w+)?, (?=\S)|\n    self(?:: \w+)?,(?=\n)", "", text)
+    return re.sub(r"\((?:self|cls)(?:: \w+)?(?:, )?", "(", text, count=1)
 
 
 def indented(definition: str) -> str:
@@ -90,7 +95,12 @@ def fields(kind: type) -> list[tuple[str, str]]:
 
 def constructor(kind: type) -> str:
     inherited = [base for base in kind.__mro__ if dataclasses.is_dataclass(base)]
-    arguments = [text for base in inherited for text, _ in fields(base)]
+    found: dict[str, str] = {}
+    for base in inherited:
+        for text, _ in fields(base):
+            # As the nearest class has it.
+            found.setdefault(text.split(":")[0], text)
+    arguments = list(found.values())
     # Those without a default come first, as they are asked for.
     arguments.sort(key=lambda text: "=" in text)
     line = f"{kind.__name__}({', '.join(arguments)})"
@@ -116,28 +126,63 @@ def constant_comment(module: types.ModuleType, name: str) -> str:
     return ""
 
 
+@functools.cache
+def public_classes() -> dict[type, str]:
+    """Every class of the reference, and its full name."""
+    found = {}
+    for room in ROOMS:
+        module = importlib.import_module(f"torchprt.{room}")
+        things = {name: getattr(module, name) for name in public(room)}
+        found |= {thing: f"torchprt.{room}.{name}" for name, thing in things.items() if inspect.isclass(thing)}
+    return found
+
+
+def described_elsewhere(kind: type) -> list[type]:
+    """The nearest base that has an entry of its own, and all that it is made of."""
+    nearest = [base for base in kind.__mro__[1:] if base in public_classes()][:1]
+    return [part for base in nearest for part in base.__mro__]
+
+
 def methods(kind: type) -> list[str]:
     entries = []
-    # A dataclass is described whole; what a module inherits is described at its base.
-    bases = (
-        [base for base in kind.__mro__ if dataclasses.is_dataclass(base)] if dataclasses.is_dataclass(kind) else [kind]
-    )
+    elsewhere = described_elsewhere(kind)
+    # What a class inherits is described at its base, unless the base is not public; modules inherit too much.
+    bases = [kind]
+    if dataclasses.is_dataclass(kind):
+        bases += [base for base in kind.__mro__[1:] if dataclasses.is_dataclass(base) and base not in elsewhere]
     members = {name: member for base in reversed(bases) for name, member in vars(base).items()}
+    known = {name for base in elsewhere for name in vars(base)}
     for name, member in members.items():
         if name.startswith("_") or name in ("extra_repr",):
             continue
+        if name in known and not docstring(member):
+            # Another way to do what the base says.
+            continue
         if isinstance(member, property):
             entries.append(f"- `.{name}`: {docstring(member)}".removesuffix(": "))
-        elif inspect.isfunction(member):
-            call = " ".join(signature(member, "." + name).split()).replace("( ", "(").replace(", )", ")")
+        elif inspect.isfunction(member) or isinstance(member, classmethod):
+            function = member.__func__ if isinstance(member, classmethod) else member
+            call = " ".join(signature(function, "." + name).split())
+            call = call.replace("( ", "(").replace(", )", ")").replace(" )", ")")
             entries.append(f"- `{call}`: {docstring(member)}".rstrip(": "))
+    told = [base for base in elsewhere[:1] if base is not nn.Module]
+    link = {base: public_classes()[base].lower().replace(".", "") for base in told}
+    entries += [f"- and what [`{base.__name__}`](#{link[base]}) has." for base in told]
     return [entry.replace("\n\n", "\n").replace("\n", "\n  ") for entry in entries]
+
+
+def registered(thing: object) -> str:
+    """For which classes a generic function has an answer, and what it makes of them."""
+    registry = {kind: made for kind, made in getattr(thing, "registry", {}).items() if kind is not object}
+    pairs = [
+        f"`{kind.__name__}`" + ("" if made.__name__.startswith("_") else f" as `{made.__name__}`")
+        for kind, made in registry.items()
+    ]
+    return f"Registered: {', '.join(sorted(pairs))}." if pairs else ""
 
 
 def entry(module: types.ModuleType, name: str) -> str:
     thing = getattr(module, name)
-    if inspect.isclass(thing) and thing.__name__ != name:
-        return f"### `{module.__name__}.{name}`\n\nAn alias: every kind of transfer, so far `{thing.__name__}`."
     parts = [f"### `{module.__name__}.{name}`"]
     if inspect.isclass(thing):
         if dataclasses.is_dataclass(thing) and "__init__" in thing.__dict__ and not _own_init(thing):
@@ -149,10 +194,8 @@ def entry(module: types.ModuleType, name: str) -> str:
             told = [f"- `{text.split(':')[0]}`: {comment}" for text, comment in fields(thing) if comment]
             parts += ["\n".join(told).replace("\n", "\n  ").replace("\n  - ", "\n- ")] if told else []
         parts += ["\n".join(methods(thing))] if methods(thing) else []
-        if issubclass(thing, nn.Module) and not methods(thing):
-            parts.append(f"```python\n{signature(thing.forward, '.forward')}\n```")
     elif inspect.isfunction(thing) or hasattr(thing, "__wrapped__"):
-        parts += [f"```python\n{signature(thing, name)}\n```", docstring(thing)]
+        parts += [f"```python\n{signature(thing, name)}\n```", docstring(thing), registered(thing)]
     elif isinstance(thing, types.ModuleType):
         parts.append(docstring(thing))
     elif isinstance(thing, (int, float)):

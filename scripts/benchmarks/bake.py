@@ -206,9 +206,11 @@ def errors(scene: Scene, threads: int) -> Table:
     points = Points(receivers.points, receivers.normals)
 
     def baked(rays: int, seed: int = 0) -> torch.Tensor:
-        return bake(
-            scene, order=ORDER, rays=rays, seed=seed, receivers=points, threads=threads, progress=False
-        ).transfer[0]
+        return (
+            bake(scene, order=ORDER, rays=rays, seed=seed, receivers=points, threads=threads, progress=False)
+            .layers["diffuse"]
+            .signal.values[0]
+        )
 
     reference = baked(REFERENCE_RAYS, seed=1)
 

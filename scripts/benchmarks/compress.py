@@ -44,7 +44,7 @@ from torchprt.light import DamagedImageWarning
 from torchprt.measure import Table, relative_rms, time_it
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, load, read_mesh, samples
 from torchprt.shade import shader
-from torchprt.transfer import DiffuseTransfer, GlossyTransfer
+from torchprt.transfer import Signal, Transfer
 from torchprt.transport import bake
 
 TURNED: tuple[Turned, ...] = ("any", "yaw")
@@ -67,25 +67,27 @@ def mesh() -> Mesh:
 
 
 @functools.cache
-def diffuse() -> DiffuseTransfer:
-    found = bake(Scene([Object(mesh(), Material(0.6))]), order=6, progress=False)
-    assert isinstance(found, DiffuseTransfer)
-    return found
+def diffuse() -> Transfer:
+    return bake(Scene([Object(mesh(), Material(0.6))]), order=6, progress=False)
 
 
 @functools.cache
-def glossy() -> GlossyTransfer:
+def glossy() -> Transfer:
     with warnings.catch_warnings():
         # The smooth field of tangents is what is asked for.
         warnings.simplefilter("ignore", TangentWarning)
-        found = bake(Scene([Object(mesh(), Material(0.0, gloss=MATERIAL))]), order=5, progress=False)
-    assert isinstance(found, GlossyTransfer)
-    return found
+        return bake(Scene([Object(mesh(), Material(0.0, gloss=MATERIAL))]), order=5, progress=False)
 
 
-def signal(transfer: DiffuseTransfer | GlossyTransfer) -> Tensor:
-    tensor = transfer.transfer.movedim(2, 0) if isinstance(transfer, DiffuseTransfer) else transfer.matrix.movedim(1, 0)
-    return tensor.flatten(1).float()
+def stored(transfer: Transfer) -> Signal:
+    """Of the only layer that there is."""
+    (layer,) = transfer.layers.values()
+    return layer.signal
+
+
+def signal(transfer: Transfer) -> Tensor:
+    values = stored(transfer).dense().values
+    return values.movedim(2 if values.ndim == 3 else 1, 0).flatten(1).float()
 
 
 @functools.cache
@@ -187,24 +189,26 @@ def equal_cost() -> Iterator[Table]:
         times = time_it(frames, rounds=9)
         seen = {name: module(lights, eye=eye) for name, module in modules.items()}
     table = Table("equal run-time cost, 25 x 25 matrices; a frame: one light, one eye, both new")
-    best = float(packed["CPCA, 256 clusters, n' = 8"].squared_error.double().sum())
+    best = float(stored(packed["CPCA, 256 clusters, n' = 8"]).squared_error.double().sum())
     for name, module_time in times.items():
         extra: dict[str, Any] = {"frame": str(module_time)}
         if name in packed:
-            squared = float(packed[name].squared_error.double().sum())
+            squared = float(stored(packed[name]).squared_error.double().sum())
             extra |= {"squared error": squared, "/ CPCA": squared / best}
             extra["radiance, RMS"] = f"{relative_rms(seen[name], seen['uncompressed']):.2%}"
-            table.add(name, error=packed[name].compression_error, bytes=packed[name].bytes, extra=extra)
+            table.add(name, error=stored(packed[name]).compression_error, bytes=packed[name].bytes, extra=extra)
         else:
             table.add(name, bytes=transfer.bytes, extra=extra)
     yield table
 
 
 def _light_first(module: Any, light: Tensor, eye: Tensor) -> Tensor:
-    """What `GlossyShader` would do if it applied the light before the eye: two products, no diffuse layer."""
-    values = module.values(eye, None).contiguous().unsqueeze(1)
-    _, receivers, rows, columns = module.matrix.shape
-    return torch.bmm(values, (module.matrix.view(-1, columns) @ light).view(receivers, rows, 3))
+    """What the shader would do if it applied the light before the eye: two products, no diffuse layer."""
+    gloss = module.layers["exit"]
+    values = gloss.values(eye, None).contiguous().unsqueeze(1)
+    matrix = gloss.signal.values
+    _, receivers, rows, columns = matrix.shape
+    return torch.bmm(values, (matrix.view(-1, columns) @ light).view(receivers, rows, 3))
 
 
 def precision() -> Iterator[Table]:
@@ -221,23 +225,22 @@ def precision() -> Iterator[Table]:
         table = Table(f"bytes and bits, {kind}: {data.shape[0]} x {data.shape[1]}")
         for clusters, components, bits, shared in sizes[kind]:
             packed = compress(transfer, clusters=clusters, components=components, bits=bits, shared=shared)
-            restored = signal(decompress(packed))  # type: ignore[arg-type]
-            parts = (packed.label, packed.weights)
+            restored = signal(decompress(packed))
+            made = stored(packed)
+            parts = (made.label, made.weights)
             points = sum(part.numel() * part.element_size() for part in parts) / len(data)
-            whole = transfer.transfer if isinstance(transfer, DiffuseTransfer) else transfer.matrix
-            stored = packed.bytes - (transfer.bytes - whole.numel() * whole.element_size())
-            rest = stored - points * len(data)
+            rest = made.bytes - points * len(data)
             name = f"{clusters} clusters, n' = {components}, {bits} bits" + (f", {shared} shared" if shared else "")
             extra = {
-                "smaller": 4 * data.numel() / stored,
+                "smaller": 4 * data.numel() / made.bytes,
                 "smaller at 1M vertices": 4 * data.shape[1] * MILLION / (points * MILLION + rest),
                 "radiance, RMS": f"{shading_error(transfer, restored - data):.2%}",
             }
-            table.add(name, error=packed.compression_error, bytes=stored, extra=extra)
+            table.add(name, error=made.compression_error, bytes=made.bytes, extra=extra)
         yield table
 
 
-def shading_error(transfer: DiffuseTransfer | GlossyTransfer, difference: Tensor, only: str | None = None) -> float:
+def shading_error(transfer: Transfer, difference: Tensor, only: str | None = None) -> float:
     """RMS of what `difference` adds to exit radiance, relative, over the hemisphere; the mean of all environments.
 
     Exit functions of the projection "optimal" are orthonormal there.
@@ -351,7 +354,6 @@ def million() -> Iterator[Table]:
 
 def compress_a_million() -> dict[str, Any]:
     transfer = bake(load(rolling_ground(MILLION)), order=5, rays=64, progress=False)
-    assert isinstance(transfer, DiffuseTransfer)
     before = resident()
     # What the bake took is not counted.
     Path("/proc/self/clear_refs").write_text("5")
@@ -362,9 +364,9 @@ def compress_a_million() -> dict[str, Any]:
         "vertices": transfer.vertices,
         "before": before,
         "peak": resident(peak=True),
-        "signal": 4 * transfer.transfer.numel(),
+        "signal": transfer.bytes,
         "bytes": packed.bytes,
-        "error": packed.compression_error,
+        "error": stored(packed).compression_error,
     }
 
 

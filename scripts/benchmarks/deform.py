@@ -21,8 +21,8 @@ from torchprt.measure import Table, relative_rms, time_it
 from torchprt.onnx import export
 from torchprt.pose import DeformedFrames, SkinnedMesh, nearest_rotation
 from torchprt.sh import bands, check_rotation, yaw_pitch_roll
-from torchprt.shade import DeformableShader, shader
-from torchprt.transfer import DiffuseTransfer, ZonalTransfer
+from torchprt.shade import shader
+from torchprt.transfer import Diffuse, Transfer, Vertices, Zonal, diffuse_transfer
 
 VERTICES, LOBES, ORDER, MANY, JOINTS = 50_000, 4, 6, 64, 24
 
@@ -38,29 +38,31 @@ def grid(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return positions, torch.cat([torch.stack([a, b, c], -1), torch.stack([a, c, d], -1)])
 
 
-def random_transfer(exact: bool) -> ZonalTransfer:
+def random_transfer(exact: bool) -> Transfer:
     positions, faces = grid(VERTICES)
     count, generator = len(positions), torch.Generator().manual_seed(0)
     fall = (1.0 + torch.arange(ORDER)[:, None]) ** -2
     weights = torch.randn(1, LOBES, ORDER, count, generator=generator) * fall
-    return ZonalTransfer(
-        axis=normalize(torch.randn(LOBES, 3, count, generator=generator), dim=1),
-        coefficients=weights[:, :, 2:].contiguous() if exact else weights,
-        exact=torch.randn(1, 4 if exact else 0, count, generator=generator),
+    signal = Zonal(
+        axis=normalize(torch.randn(LOBES, 3, count, generator=generator), dim=1)[None],
+        coefficients=(weights[:, :, 2:].contiguous() if exact else weights)[:, None],
+        exact=torch.randn(1, 4 if exact else 0, count, generator=generator)[:, None],
         squared_error=torch.zeros(count),
-        albedo=torch.full((1, 1), 0.5),
-        positions=positions,
-        normals=torch.zeros(count, 3),
-        faces=faces,
+    )
+    return Transfer(
+        receivers=Vertices(positions=positions, normals=torch.zeros(count, 3), faces=faces),
+        layers={"diffuse": Diffuse(albedo=torch.full((1, 1), 0.5), signal=signal)},
     )
 
 
 class Stacked:
     """What one would write first: for every lobe of every vertex a row of basis functions, weighted, summed, lit."""
 
-    def __init__(self, transfer: ZonalTransfer) -> None:
-        self.axis = transfer.axis.permute(2, 0, 1).contiguous()
-        self.coefficients = transfer.coefficients[0].permute(2, 0, 1)[..., bands(ORDER)].contiguous()
+    def __init__(self, transfer: Transfer) -> None:
+        signal = transfer.layers["diffuse"].signal
+        assert isinstance(signal, Zonal)
+        self.axis = signal.axis[0].permute(2, 0, 1).contiguous()
+        self.coefficients = signal.coefficients[0, 0].permute(2, 0, 1)[..., bands(ORDER)].contiguous()
         self.albedo = transfer.albedo
 
     def __call__(self, light: torch.Tensor, frames: torch.Tensor) -> torch.Tensor:
@@ -99,13 +101,13 @@ def shading(rounds: int) -> None:
     light, many = (torch.randn(size, ORDER**2, 3, generator=generator) for size in (1, MANY))
     modules = {"lobes": whole, "lobes, bands 0 and 1 apart": apart}
     direct = {name: shader(transfer) for name, transfer in modules.items()}
-    tables = {name: DeformableShader(transfer, method="table") for name, transfer in modules.items()}
+    tables = {name: shader(transfer, method="table") for name, transfer in modules.items()}
     stacked = Stacked(whole)
     fixed = direct["lobes"].fix_pose(frames)
     static = shader(
-        DiffuseTransfer(
-            transfer=fixed.transfer,
-            albedo=whole.albedo,
+        diffuse_transfer(
+            fixed.layers["diffuse"].signal.values,
+            whole.albedo,
             **{name: getattr(whole, name) for name in ("positions", "normals", "faces")},
         )
     )

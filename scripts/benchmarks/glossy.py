@@ -10,7 +10,6 @@ relative to the RMS of the reference.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import warnings
 from pathlib import Path
@@ -33,7 +32,7 @@ from torchprt.measure import (
 from torchprt.scene import Material, Mesh, Scene, TangentWarning, load, read_mesh, samples
 from torchprt.sh import Projection
 from torchprt.shade import shader, with_material
-from torchprt.transfer import GlossyTransfer
+from torchprt.transfer import Dense, Transfer
 from torchprt.transport import OrderWarning, bake, hemisphere
 
 ORDER, HIGHEST, RECEIVERS, VIEWS = 5, 10, 150, 150
@@ -71,15 +70,18 @@ class Measured:
     def reference(self, lights: Tensor) -> Tensor:
         return exit_radiance_by_brute_force(self.scene, self.chosen, self.views, lights, seed=1)
 
-    def bake(self, rays: int, projection: Projection = "optimal", seeds: tuple[int, ...] = (0,)) -> GlossyTransfer:
+    def bake(self, rays: int, projection: Projection = "optimal", seeds: tuple[int, ...] = (0,)) -> Transfer:
         options = {"order": ORDER, "output_order": HIGHEST, "projection": projection, "progress": False}
         found = [bake(self.scene, rays=rays, seed=seed, **options) for seed in seeds]
-        return dataclasses.replace(found[0], matrix=sum(each.matrix for each in found) / len(found))
+        matrix = sum(each.layers["exit"].signal.values for each in found) / len(found)
+        return found[0].with_layers(exit=found[0].layers["exit"].replace(signal=Dense(values=matrix)))
 
-    def radiance(self, transfer: GlossyTransfer, lights: Tensor, order: int | None = None) -> Tensor:
+    def radiance(self, transfer: Transfer, lights: Tensor, order: int | None = None) -> Tensor:
         """Of the first exit functions, those of `order`, if it is given."""
         if order is not None:
-            transfer = dataclasses.replace(transfer, matrix=transfer.matrix[:, :, : order * order], output_order=order)
+            layer = transfer.layers["exit"]
+            matrix = Dense(values=layer.signal.values[:, :, : order * order])
+            transfer = transfer.with_layers(exit=layer.replace(signal=matrix, output_order=order))
         module = shader(sample_transfer(transfer, self.chosen), dtype=torch.float64)
         return exit_radiance(module, self.views, lights)
 
@@ -116,7 +118,7 @@ def orders_and_lights(mesh: Mesh) -> tuple[Table, Table, Table, Table]:
         many = measured.bake(MANY_RAYS, seeds=SEEDS)
         incident = bake(measured.scene, order=ORDER, frame="incident", progress=False)
 
-        def error(transfer: GlossyTransfer, order: int | None = None) -> str:
+        def error(transfer: Transfer, order: int | None = None) -> str:
             return percent(relative_rms(measured.radiance(transfer, smooth, order), wanted))  # noqa: B023
 
         columns = {str(order): error(many, order) for order in range(3, HIGHEST + 1)}
@@ -157,7 +159,8 @@ def product_errors(mesh: Mesh) -> Table:
                 "measured, white": percent(relative_rms(found[8:], wanted[8:])),
                 "measured, random": percent(relative_rms(found[:8], wanted[:8])),
             }
-            table.add(f"{name}, {order}", extra={"product_error": percent(transfer.product_error), **measured_errors})
+            stated = percent(transfer.layers["visibility"].product_error)
+            table.add(f"{name}, {order}", extra={"product_error": stated, **measured_errors})
     return table
 
 

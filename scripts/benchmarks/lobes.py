@@ -109,7 +109,7 @@ def run() -> None:
     """Bakes, fits, and prints the tables."""
     transfer = bake(scene_to_measure(), order=ORDER, rays=RAYS, progress=False)
     torch.set_num_threads(1)
-    vectors = transfer.transfer.permute(2, 0, 1)
+    vectors = transfer.layers["diffuse"].signal.values.permute(2, 0, 1)
     for make in (fits, beside_scipy):
         rich.print(make(vectors, transfer.faces))
 

@@ -18,18 +18,18 @@ import torch
 from torchprt.measure import Table, relative_rms, time_it
 from torchprt.onnx import export
 from torchprt.sh import bands
-from torchprt.shade import GlossyShader, shader
-from torchprt.transfer import DiffuseTransfer, GlossyTransfer, VisibilityTransfer
+from torchprt.shade import Shader, shader
+from torchprt.transfer import Dense, Diffuse, Exit, Transfer, Vertices, Visibility, diffuse_transfer
 
 VERTICES, LARGE, ORDER, MANY = 50_000, 2_000_000, 5, 256
 GLOSSY, LIGHTS, DEGREE = 25_000, 16, 12
 
 
-def random_transfer(vertices: int = VERTICES, order: int = ORDER) -> DiffuseTransfer:
+def random_transfer(vertices: int = VERTICES, order: int = ORDER) -> Transfer:
     generator = torch.Generator().manual_seed(0)
     vectors = torch.randn(1, order**2, vertices, generator=generator) / (1 + bands(order)[:, None]) ** 2
-    return DiffuseTransfer(
-        transfer=vectors,
+    return diffuse_transfer(
+        vectors,
         albedo=torch.full((1, 1), 0.5),
         positions=torch.zeros(vertices, 3),
         normals=torch.zeros(vertices, 3),
@@ -42,17 +42,18 @@ def run(rounds: int = 15) -> None:
     torch.set_num_threads(1)
     transfer = random_transfer()
     module = shader(transfer)
+    vectors = transfer.layers["diffuse"].signal.values
     generator = torch.Generator().manual_seed(1)
     one, many = (torch.randn(count, ORDER**2, 3, generator=generator) for count in (1, MANY))
     out_one, out_many = module(one), module(many)
-    by_vertex = transfer.transfer[0].T.contiguous()
+    by_vertex = vectors[0].T.contiguous()
     # What no shader can beat while torch has no better product: the bare call on the very tensors.
     rows, product = one[0].T.contiguous(), torch.empty(3, VERTICES)
     # As large as the transfer, so that both are read from the same level of the cache.
-    stream = torch.ones(transfer.transfer.numel())
+    stream = torch.ones(vectors.numel())
     # A scene whose transfer is larger than any cache, and as much to read.
     large = shader(random_transfer(LARGE))
-    memory = torch.ones(large.transfer.numel())
+    memory = torch.ones(large.layers["diffuse"].signal.values.numel())
     out_large = large(one)
     square = torch.randn(2048, 2048, generator=generator)
     options = onnxruntime.SessionOptions()
@@ -80,7 +81,7 @@ def run(rounds: int = 15) -> None:
                 f"1 light, {LARGE} vertices": lambda: large(one, out=out_large),
                 "1 light, new result": lambda: module(one),
                 "1 light, [V, N] @ [N, 3]": lambda: torch.matmul(by_vertex, one[0]),
-                "1 light, bare torch.mm": lambda: torch.mm(rows, module.transfer[0], out=product),
+                "1 light, bare torch.mm": lambda: torch.mm(rows, vectors[0], out=product),
                 "1 light, turned": lambda: turned(one, out_one),
                 "1 light, turned, ONNX Runtime": lambda: ort(one),
                 f"{MANY} lights": lambda: module(many, out=out_many),
@@ -110,7 +111,7 @@ def run(rounds: int = 15) -> None:
     rich.print(table)
 
     rate = 2 * 2048**3 / times["product of two 2048 x 2048"].median
-    work = 2 * MANY * 3 * transfer.transfer.numel()
+    work = 2 * MANY * 3 * vectors.numel()
     ratios = Table("Ratios")
 
     def ratio(name: str, value: float, target: float | None = None) -> None:
@@ -119,16 +120,16 @@ def run(rounds: int = 15) -> None:
 
     # One light reads N numbers a vertex and writes 3.
     moved = 1 + 3 / ORDER**2
-    memory_rate = large.transfer.numel() / times["read 200 MB"].median
-    one_rate = moved * transfer.transfer.numel() / times["1 light"].median
-    large_rate = moved * large.transfer.numel() / times[f"1 light, {LARGE} vertices"].median
-    cache_rate = transfer.transfer.numel() / times["read as much as the transfer"].median
+    memory_rate = memory.numel() / times["read 200 MB"].median
+    one_rate = moved * vectors.numel() / times["1 light"].median
+    large_rate = moved * memory.numel() / times[f"1 light, {LARGE} vertices"].median
+    cache_rate = vectors.numel() / times["read as much as the transfer"].median
     ratio("1 light / stream rate of a read of 200 MB", one_rate / memory_rate, 0.7)
     ratio("the same against a read of 5 MB, from the cache", one_rate / cache_rate)
     ratio(f"{LARGE} vertices, 1 light / the stream rate", large_rate / memory_rate)
     ratio("1 light / [V, N] @ [N, 3]", times["1 light, [V, N] @ [N, 3]"].median / times["1 light"].median, 5)
     bare = times["1 light, bare torch.mm"].median
-    ratio("bare torch.mm / stream rate of a read of 200 MB", moved * transfer.transfer.numel() / bare / memory_rate)
+    ratio("bare torch.mm / stream rate of a read of 200 MB", moved * vectors.numel() / bare / memory_rate)
     ratio("bare torch.mm / [V, N] @ [N, 3]", times["1 light, [V, N] @ [N, 3]"].median / bare)
     ratio(f"{MANY} lights / FLOP rate of the square product", work / times[f"{MANY} lights"].median / rate, 0.4)
     for count in ("1 light", f"{MANY} lights"):
@@ -140,40 +141,42 @@ def run(rounds: int = 15) -> None:
     rich.print(ratios)
 
 
-def random_glossy(visibility: bool) -> GlossyTransfer | VisibilityTransfer:
+def random_glossy(visibility: bool) -> Transfer:
     """Every receiver glossy and diffuse, order 5 in and out; with matrices, or visibility of the same order."""
     generator = torch.Generator().manual_seed(0)
     count = ORDER**2
     normals = torch.nn.functional.normalize(torch.randn(GLOSSY, 3, generator=generator, dtype=torch.float64), dim=-1)
     across = torch.linalg.cross(normals, torch.randn(GLOSSY, 3, generator=generator, dtype=torch.float64))
-    layers = {
-        "positions": normals.float(),
-        "normals": normals.float(),
-        "faces": torch.zeros(0, 3, dtype=torch.int64),
-        "albedo": torch.full((1, 1), 0.5),
-        "glossy": torch.arange(GLOSSY),
+    vertices = Vertices(positions=normals.float(), normals=normals.float(), faces=torch.zeros(0, 3, dtype=torch.int64))
+    gloss = {
+        "receivers": torch.arange(GLOSSY),
         "tangents": torch.nn.functional.normalize(across, dim=-1).float(),
         "specular": torch.full((1, 1), 0.5),
-        "diffuse": torch.randn(1, count, GLOSSY, generator=generator),
+        "output_order": ORDER,
     }
+    vectors = Dense(values=torch.randn(1, count, GLOSSY, generator=generator))
+    diffuse = Diffuse(albedo=torch.full((1, 1), 0.5), signal=vectors)
     if not visibility:
-        matrix = torch.randn(1, GLOSSY, count, count, generator=generator)
-        return GlossyTransfer(**layers, matrix=matrix, output_order=ORDER)
-    return VisibilityTransfer(
-        **layers,
-        visibility=torch.randn(count, GLOSSY, generator=generator),
+        matrix = Dense(values=torch.randn(1, GLOSSY, count, count, generator=generator))
+        return Transfer(receivers=vertices, layers={"diffuse": diffuse, "exit": Exit(signal=matrix, **gloss)})
+    seen = Visibility(
+        signal=Dense(values=torch.randn(1, count, GLOSSY, generator=generator)),
         kernel=torch.randn(count, (DEGREE // 2 + 1) * (DEGREE + 1), generator=generator),
         degree=DEGREE,
-        output_order=ORDER,
+        light_order=ORDER,
+        **gloss,
     )
+    return Transfer(receivers=vertices, layers={"diffuse": diffuse, "visibility": seen})
 
 
-def light_first(module: GlossyShader, light: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
+def light_first(module: Shader, light: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
     """The same sums with the eye last: one product of all matrices with all lights, then the exit functions."""
-    _, receivers, rows, columns = module.matrix.shape
-    flat = light.mT.reshape(-1, columns) @ module.matrix.view(receivers * rows, columns).T
-    scattered = (flat.view(-1, receivers, rows) * module.values(eye, None)).sum(-1)
-    return module.diffuse(light) + 0.5 * scattered.view(len(light), 3, receivers).mT
+    gloss = module.layers["exit"]
+    matrix = gloss.signal.values
+    _, receivers, rows, columns = matrix.shape
+    flat = light.mT.reshape(-1, columns) @ matrix.view(receivers * rows, columns).T
+    scattered = (flat.view(-1, receivers, rows) * gloss.values(eye, None)).sum(-1)
+    return (module.layers["diffuse"](light) + 0.5 * scattered.view(len(light), 3, receivers)).mT
 
 
 def run_glossy(rounds: int = 9) -> None:

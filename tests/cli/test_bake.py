@@ -7,6 +7,7 @@ import pytest
 import torch
 import trimesh
 from environments import save_exr
+from transfers import stored
 
 from torchprt.transfer import load
 
@@ -83,9 +84,9 @@ def test_a_blocker_casts_shadow_and_records_nothing(done, folder, tmp_path):
     assert transfer.vertices == free.vertices == 162
     top = int(free.positions[:, 1].argmax())
     # The mean of what the top of the ball sees of a constant sky.
-    assert float(transfer.transfer[0, 0, top]) < 0.3 * float(free.transfer[0, 0, top])
+    assert float(stored(transfer)[0, 0, top]) < 0.3 * float(stored(free)[0, 0, top])
     bottom = int(free.positions[:, 1].argmin())
-    assert torch.equal(transfer.transfer[..., bottom], free.transfer[..., bottom])
+    assert torch.equal(stored(transfer)[..., bottom], stored(free)[..., bottom])
 
 
 def test_two_sided_surfaces_record_both_sides(done, corner, tmp_path):
@@ -104,7 +105,7 @@ def test_unshadowed_traces_nothing_and_is_the_closed_form(done, corner, tmp_path
     assert (transfer.transport, transfer.rays, transfer.error) == ("unshadowed", 0, None)
     # A cosine over a hemisphere, over pi: sqrt(4 pi) / 4 pi * pi / pi.
     expected = 1 / math.sqrt(4 * math.pi)
-    torch.testing.assert_close(transfer.transfer[0, 0], torch.full((transfer.vertices,), expected), rtol=1e-6, atol=0)
+    torch.testing.assert_close(stored(transfer)[0, 0], torch.full((transfer.vertices,), expected), rtol=1e-6, atol=0)
     assert not list(tmp_path.glob("*.partial"))
 
 
@@ -112,10 +113,10 @@ def test_half_stores_half_the_bytes_and_shades_nearly_the_same(done, shaded, cor
     path, _ = corner
     whole, _ = baked(done, path, rays=16)
     half, said = baked(done, path, "--half", rays=16)
-    assert half.transfer.dtype == torch.float16
+    assert stored(half).dtype == torch.float16
     assert 2 * half.bytes == whole.bytes
     assert "float16" in said
-    assert torch.equal(half.transfer, whole.transfer.half())
+    assert torch.equal(stored(half), stored(whole).half())
     assert shaded(folder / "lamp.exr", transfer=path.with_suffix(".safetensors")).dtype == np.float32
 
 
@@ -125,6 +126,6 @@ def test_seed_and_threads_do_what_they_say(done, corner):
         baked(done, path, *options, rays=16)[0]
         for options in (["--seed", 1, "--threads", 1], ["--seed", 1, "--threads", 3], ["--seed", 2])
     )
-    assert torch.equal(first.transfer, again.transfer)
-    assert not torch.equal(first.transfer, other.transfer)
+    assert torch.equal(stored(first), stored(again))
+    assert not torch.equal(stored(first), stored(other))
     assert (first.seed, other.seed) == (1, 2)

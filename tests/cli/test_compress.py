@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import torch
+from transfers import random_glossy, stored
 
-from torchprt.transfer import ClusteredTransfer, load
+from torchprt.transfer import Clustered, load, save
 
 
 @pytest.mark.parametrize(
@@ -28,8 +30,9 @@ def test_compresses_tells_what_it_cost_and_shades_the_same(done, folder, tmp_pat
     whole, packed = folder / "ball.safetensors", tmp_path / "a.safetensors"
     said = done("compress", whole, "-o", packed, "--clusters", "12", "--components", "4")
     transfer = load(packed)
-    assert isinstance(transfer, ClusteredTransfer)
-    assert f"compression error {transfer.compression_error:.2%}" in said
+    signal = transfer.layers["diffuse"].signal
+    assert isinstance(signal, Clustered)
+    assert f"compression error {signal.compression_error:.2%}" in said
     assert "times smaller" in said
     assert "12 clusters (iterative), 4 PCA vectors each" in done("info", packed)
     for name, source in (("whole", whole), ("packed", packed)):
@@ -77,7 +80,7 @@ def test_whatever_the_size_it_shades_in_the_order_of_the_mesh(done, folder, tmp_
     done("compress", whole, "-o", packed, *options)
     transfer = load(packed)
     if "--error" in options:
-        assert transfer.compression_error <= 0.05
+        assert transfer.layers["diffuse"].signal.compression_error <= 0.05
     if "--bytes" in options:
         assert transfer.bytes <= 6 * 1024
     said = done("info", packed)
@@ -93,3 +96,56 @@ def test_clusters_are_exported_as_they_are(done, folder, tmp_path, untyped):
     done("compress", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors", "--clusters", "4")
     assert "same" in done("export", tmp_path / "a.safetensors", "-o", tmp_path / "a.onnx")
     assert "clustered" in done("info", tmp_path / "a.onnx")
+
+
+@pytest.fixture
+def layered(tmp_path):
+    """Random transfer of a diffuse layer of all 90 vertices and exit matrices of 60."""
+    path = tmp_path / "layered.safetensors"
+    save(random_glossy("exit", vertices=90, glossy=60, order=3, output_order=2), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("chosen", "other", "options"),
+    [
+        ("diffuse", "exit", ["--layer", "diffuse"]),
+        ("diffuse", "exit", ["--layer", "diffuse", "--importance", "natural"]),
+        ("exit", "diffuse", ["--layer", "exit"]),
+        ("exit", "diffuse", []),
+    ],
+)
+def test_the_layer_that_is_named_is_compressed_and_the_other_stays(done, layered, tmp_path, chosen, other, options):
+    packed = tmp_path / "a.safetensors"
+    said = done("compress", layered, "-o", packed, "--clusters", 5, "--components", 2, *options)
+    assert f"{chosen}: 5 clusters (iterative), 2 PCA vectors each" in said
+    assert f"{other}: 5 clusters" not in said
+    transfer, whole = load(packed), load(layered)
+    assert list(transfer.layers) == ["diffuse", "exit"]
+    assert isinstance(transfer.layers[chosen].signal, Clustered)
+    assert torch.equal(stored(transfer, other), stored(whole, other))
+    # Then the other one: the first stays as it was compressed.
+    both = tmp_path / "b.safetensors"
+    done("compress", packed, "-o", both, "--layer", other, "--clusters", 5, "--components", 2)
+    twice = load(both)
+    assert twice.kind == "clustered diffuse + clustered exit"
+    assert torch.equal(twice.layers[chosen].signal.weights, transfer.layers[chosen].signal.weights)
+
+
+@pytest.mark.parametrize(
+    ("layer", "words"),
+    [
+        ("gloss", ["layer is 'gloss'", "diffuse, exit"]),
+        ("", ["layer is ''"]),
+    ],
+)
+def test_refuses_a_layer_that_there_is_not(refused, layered, tmp_path, layer, words):
+    refused(*words, arguments=["compress", layered, "-o", tmp_path / "a.safetensors", "--layer", layer])
+
+
+def test_refuses_a_layer_that_is_compressed_already(done, refused, layered, tmp_path):
+    packed = tmp_path / "a.safetensors"
+    done("compress", layered, "-o", packed, "--layer", "diffuse", "--clusters", 5)
+    refused(
+        "compressed already", arguments=["compress", packed, "-o", tmp_path / "b.safetensors", "--layer", "diffuse"]
+    )

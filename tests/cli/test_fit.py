@@ -2,7 +2,7 @@
 
 import pytest
 
-from torchprt.transfer import ZonalTransfer, load
+from torchprt.transfer import Zonal, load
 
 
 @pytest.mark.parametrize("options", [["--smoothness", "0"], ["--smoothness", "nan"]])
@@ -17,20 +17,20 @@ def test_refuses_what_cannot_be_fitted_and_writes_nothing(run, folder, tmp_path,
 def test_fits_tells_what_it_cost_and_shades(done, folder, tmp_path):
     fitted = tmp_path / "a.safetensors"
     said = done("fit", folder / "ball.safetensors", "-o", fitted, "--lobes", "1")
-    transfer = load(fitted)
-    assert isinstance(transfer, ZonalTransfer)
-    assert transfer.lobes == 1
-    assert not transfer.smooth
-    assert f"fit error {transfer.fit_error:.2%}" in said
+    signal = load(fitted).layers["diffuse"].signal
+    assert isinstance(signal, Zonal)
+    assert signal.lobes == 1
+    assert not signal.smooth
+    assert f"fit error {signal.fit_error:.2%}" in said
     # A ball shadows nothing: its vectors are zonal about the normals, but for the rays.
-    assert transfer.fit_error < 0.1
+    assert signal.fit_error < 0.1
     done("shade", fitted, "--light", folder / "lamp.exr", "-o", tmp_path / "a.npy")
 
 
 def test_a_smoothness_is_a_smooth_fit(done, folder, tmp_path):
     fitted = tmp_path / "a.safetensors"
     done("fit", folder / "ball.safetensors", "-o", fitted, "--lobes", "1", "--smoothness", "1")
-    assert load(fitted).smooth
+    assert load(fitted).layers["diffuse"].signal.smooth
 
 
 def test_stopped_it_writes_nothing(run, folder, tmp_path, monkeypatch):

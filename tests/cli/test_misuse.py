@@ -359,11 +359,17 @@ def rewritten(folder, path, change=None, drop=(), **metadata):
 
 
 def poisoned(tensors):
-    tensors["transfer"][0, 0, 0] = math.nan
+    tensors["diffuse.signal.values"][0, 0, 0] = math.nan
 
 
 def whole_numbers(tensors):
-    tensors["transfer"] = tensors["transfer"].to(torch.int32)
+    tensors["diffuse.signal.values"] = tensors["diffuse.signal.values"].to(torch.int32)
+
+
+def renamed(kind, other):
+    """What the file says of its layers, one of whose kinds is another."""
+    said = [{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense"}}]
+    return json.dumps(said).replace(f'"kind": "{kind}"', f'"kind": "{other}"')
 
 
 def shorter(tensors):
@@ -380,13 +386,15 @@ TRANSFERS = {
     "foreign": (lambda folder, path: path.write_bytes(b"hello" * 99), "not a whole safetensors"),
     "truncated": (truncate, "not a whole safetensors"),
     "stranger": (lambda folder, path: save_file({"x": torch.zeros(3)}, path), "not a transfer"),
-    "no_tensor": (lambda folder, path: rewritten(folder, path, drop=["albedo"]), "'albedo'"),
+    "no_tensor": (lambda folder, path: rewritten(folder, path, drop=["diffuse.albedo"]), "'diffuse.albedo'"),
     "no_metadata": (lambda folder, path: rewritten(folder, path, drop=["rays"]), "'rays'"),
     "newer": (lambda folder, path: rewritten(folder, path, format="99"), "newer"),
-    "kind": (lambda folder, path: rewritten(folder, path, kind="subsurface"), "'subsurface'"),
+    "layer": (lambda folder, path: rewritten(folder, path, layers=renamed("diffuse", "subsurface")), "'subsurface'"),
+    "signal": (lambda folder, path: rewritten(folder, path, layers=renamed("dense", "wavelet")), "'wavelet'"),
+    "receivers": (lambda folder, path: rewritten(folder, path, receivers='{"kind": "voxels"}'), "'voxels'"),
     "nan": (lambda folder, path: rewritten(folder, path, poisoned), "NaN"),
     "dtype": (lambda folder, path: rewritten(folder, path, whole_numbers), "int32"),
-    "shape": (lambda folder, path: rewritten(folder, path, shorter), "positions"),
+    "shape": (lambda folder, path: rewritten(folder, path, shorter), "[162, 3]: it must be [V, 3] with V = 161"),
 }
 
 

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from torchprt.scene import samples
-from torchprt.transfer import load, load_map
+from torchprt.transfer import load
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +29,19 @@ def made(tmp_path_factory):
 def test_a_picture_becomes_a_patch_on_a_lit_mesh(done, made, folder, tmp_path):
     small = ("--size", 8, "--order", 4, "--rays", 64)
     said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small, "--depth", 0.2)
-    assert "map of 8 x 8 texels, shadowed, order 4, 4 lobes, tiles" in said
-    assert "map of 8 x 8 texels" in done("info", tmp_path / "p.safetensors")
-    assert load_map(tmp_path / "p.safetensors").size == (8, 8)
+    told = done("info", tmp_path / "p.safetensors")
+    for word in ("zonal diffuse, shadowed, order 4", "map of 8 x 8 texels, tiles\n", "diffuse: 4 lobes"):
+        assert word in said
+        assert word in told
+    baked = load(tmp_path / "p.safetensors")
+    assert (baked.receivers.rows, baked.receivers.columns) == (8, 8)
 
     said = done(
         "lay", tmp_path / "p.safetensors", made / "cylinder.obj", "-o", tmp_path / "c.safetensors", "--repeat", "8,6"
     )
     assert "zonal" in said
     laid = load(tmp_path / "c.safetensors")
-    assert (laid.order, laid.lobes) == (4, 4)
+    assert (laid.order, laid.layers["diffuse"].signal.lobes) == (4, 4)
     done("shade", tmp_path / "c.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "c.npy")
     radiance = np.load(tmp_path / "c.npy")
     assert radiance.shape == (laid.vertices, 3)
@@ -49,7 +52,7 @@ def test_a_picture_becomes_a_patch_on_a_lit_mesh(done, made, folder, tmp_path):
 def test_options_change_the_patch(done, made, tmp_path):
     small = ("--size", 4, "--order", 3, "--rays", 16, "--lobes", 1, "--smooth", "--single", "--unshadowed")
     said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small)
-    for word in ("unshadowed", "1 lobes, smooth", "a single patch"):
+    for word in ("unshadowed", "diffuse: 1 lobe", "lobes of neighbours correspond", "a single patch"):
         assert word in said
 
 
@@ -82,9 +85,12 @@ def test_a_mesh_without_texture_coordinates_cannot_be_covered(done, refused, mad
         "ball.ply has no texture coordinates", arguments=["lay", tmp_path / "p.safetensors", made / "ball.ply", *output]
     )
     laid = ["lay", folder / "ball.safetensors", made / "cylinder.obj", *output]
-    refused("not a map of a patch", arguments=laid)
+    refused("at vertices, not at the texels of a patch", arguments=laid)
     refused("--repeat", arguments=["lay", tmp_path / "p.safetensors", made / "cylinder.obj", *output, "--repeat", "2"])
-    refused(
-        "holds a map",
-        arguments=["shade", tmp_path / "p.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "c.npy"],
-    )
+
+
+def test_a_patch_is_lit_flat_as_it_was_baked(done, made, folder, tmp_path):
+    small = ("--size", 4, "--order", 3, "--rays", 16, "--lobes", 1)
+    done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small)
+    done("shade", tmp_path / "p.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "p.npy")
+    assert np.load(tmp_path / "p.npy").shape == (16, 3)

@@ -13,7 +13,7 @@ from torchprt import sh
 from torchprt.light import disc, write_coefficients
 from torchprt.scene import read_mesh
 from torchprt.sh import clamped_cosine, yaw_pitch_roll
-from torchprt.transfer import ZonalTransfer, save
+from torchprt.transfer import Diffuse, Transfer, Vertices, Zonal, save
 
 ORDER = 3
 TURN = yaw_pitch_roll(torch.tensor([30.0, 50.0, -20.0], dtype=torch.float64))
@@ -25,17 +25,19 @@ def lobes_of(mesh, two_sided=False):
     normals = torch.cat([side * mesh.normals for side in sides]).float()
     count = len(normals)
     start = len(mesh.positions)
-    return ZonalTransfer(
-        axis=normals.T[None].contiguous(),
-        coefficients=(clamped_cosine(ORDER) / math.pi).float()[None, None, :, None].repeat(1, 1, 1, count),
-        exact=torch.zeros(1, 0, count),
+    signal = Zonal(
+        axis=normals.T[None, None].contiguous(),
+        coefficients=(clamped_cosine(ORDER) / math.pi).float()[None, None, None, :, None].repeat(1, 1, 1, 1, count),
+        exact=torch.zeros(1, 1, 0, count),
         squared_error=torch.zeros(count),
-        albedo=torch.full((1, 1), 0.5),
+        fit_error=0.0,
+    )
+    vertices = Vertices(
         positions=torch.cat([mesh.positions for _ in sides]).float(),
         normals=normals,
         faces=torch.cat([mesh.faces, mesh.faces.flip(1) + start]) if two_sided else mesh.faces,
-        fit_error=0.0,
     )
+    return Transfer(receivers=vertices, layers={"diffuse": Diffuse(albedo=torch.full((1, 1), 0.5), signal=signal)})
 
 
 @pytest.fixture(scope="session")
@@ -135,8 +137,8 @@ def test_the_picture_and_the_mesh_show_the_pose(done, poses, tmp_path):
 
 def test_info_tells_of_lobes(done, poses):
     said = done("info", poses / "lobes.safetensors")
-    assert "zonal, shadowed, order 3, 1 channel, 162 vertices" in said
-    assert "1 lobe a vertex, fit error 0.00% (relative RMS)" in said
+    assert "zonal diffuse, shadowed, order 3, 1 channel, 162 vertices" in said
+    assert "diffuse: 1 lobe a vertex, fit error 0.00% (relative RMS)" in said
 
 
 @pytest.mark.parametrize("pose", ["frames", "positions"])

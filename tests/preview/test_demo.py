@@ -55,7 +55,7 @@ def test_writes_every_file_that_it_names_and_no_other(small, untyped, tmp_path):
     transfer = load(tmp_path / "new" / "demo" / "sculpture.safetensors")
     assert (transfer.kind, transfer.bounces) == ("diffuse", 2)
     transfer = load(tmp_path / "new" / "demo" / "teapot.safetensors")
-    assert (transfer.kind, transfer.order, transfer.bounces) == ("glossy", 3, 1)
+    assert (transfer.kind, transfer.order, transfer.bounces) == ("diffuse + exit", 3, 1)
     assert read(tmp_path / "new" / "demo" / "studio.exr").shape == (256, 512, 3)
 
 

@@ -122,7 +122,7 @@ def test_transfer_that_does_not_fit_attributes_is_refused(make_transfer, tmp_pat
     for words, transfer, order in (
         ("order 5 is not between 1 and the 4", make_transfer(order=4), 5),
         ("order 5 with 3 channels takes 19 attributes", make_transfer(order=5, channels=3), 5),
-        ("kind 'glossy' does not fit", random_glossy("glossy", order=3, output_order=2), 2),
+        (r"kind 'diffuse \+ exit' does not fit", random_glossy("exit", order=3, output_order=2), 2),
     ):
         with pytest.raises(InputError, match=words):
             save_transfer_glb(transfer, tmp_path / "a.glb", order)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from transfers import random_glossy
+from transfers import gloss, random_glossy
 
 from torchprt import light, sh
 from torchprt.preview import modes
@@ -63,9 +63,9 @@ def test_the_colour_of_a_glossy_surface_is_albedo_and_specular():
     found = modes.reflectance(transfer)
     for vertex in range(7):
         wanted = transfer.albedo[vertex].clone()
-        for place, receiver in enumerate(transfer.glossy.tolist()):
+        for place, receiver in enumerate(gloss(transfer).receivers.tolist()):
             if receiver == vertex:
-                wanted = (wanted + transfer.specular[place]).clamp(max=1)
+                wanted = (wanted + gloss(transfer).specular[place]).clamp(max=1)
         torch.testing.assert_close(found[vertex], wanted, rtol=0, atol=EPS)
 
 

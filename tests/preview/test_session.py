@@ -5,10 +5,11 @@ import math
 import pytest
 import torch
 from shapes import square
-from zonal_transfers import random_zonal
+from transfers import random_glossy, replaced
+from zonal_transfers import bumpy, random_zonal
 
 from torchprt import light, sh
-from torchprt.compression import compress, decompress
+from torchprt.compression import compress, decompress, fit
 from torchprt.errors import InputError
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
@@ -83,9 +84,9 @@ def test_refuses_bakes_of_different_meshes(shadowed, make_transfer):
 
 def test_refuses_loose_points(make_transfer):
     transfer = make_transfer(order=ORDER)
-    transfer.faces = transfer.faces[:0]
+    points = replaced(transfer, faces=transfer.faces[:0])
     with pytest.raises(InputError, match="needs faces"):
-        Session({"points": transfer}, environments())
+        Session({"points": points}, environments())
 
 
 def test_refuses_a_mode_or_a_window_that_is_not_there(session):
@@ -350,8 +351,7 @@ def test_zonal_transfer_moves_and_comes_back():
 
 def test_other_transfer_of_a_model_that_has_moved_is_at_rest(make_transfer):
     lobes = random_zonal(side=5, order=ORDER)
-    flat = make_transfer(side=5, order=ORDER)
-    flat.positions, flat.faces = lobes.positions, lobes.faces
+    flat = replaced(make_transfer(side=5, order=ORDER), positions=lobes.positions, faces=lobes.faces)
     session = Session({"vectors": flat, "lobes": lobes}, environments())
     still = {mode: session.set_mode(mode) and session.colours() for mode in ("transfer", "unshadowed")}
     session.set_mode("compressed")
@@ -366,6 +366,21 @@ def test_other_transfer_of_a_model_that_has_moved_is_at_rest(make_transfer):
         close(session.colours(), wanted)
         session.set_mode("compressed")
         session.advance(0.1)
+
+
+def test_exit_rows_in_lobes_follow_the_eye_and_the_pose():
+    positions, faces = bumpy(4)
+    baked = random_glossy("exit", vertices=16, glossy=9, order=ORDER, output_order=2)
+    transfer = fit(replaced(baked, positions=positions.float(), faces=faces), lobes=2)
+    session = Session({"lobes": transfer}, environments())
+    assert session.follows_eye
+    assert session.play() == "animation: on"
+    session.advance(PERIOD / 4)
+    moved = session.colours()
+    more = {"positions": session.positions, "eye": torch.tensor(session.camera.eye)}
+    close(moved, shown(session, transfer, environments()[0].light, **more))
+    session.turn_camera(0.8, 0.1)
+    assert not torch.allclose(session.colours(), moved, atol=1e-3)
 
 
 def test_normals_follow_the_pose_in_the_ways_without_transfer():

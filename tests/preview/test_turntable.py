@@ -6,7 +6,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
-from transfers import random_glossy
+from transfers import random_glossy, replaced
 
 from torchprt import light, sh
 from torchprt.errors import InputError
@@ -138,8 +138,7 @@ def test_rays_are_traced_once_for_a_light_that_goes_around(transfer, monkeypatch
 
 
 def test_glossy_pictures_are_shaded_for_the_eye_of_the_camera(transfer):
-    glossy = random_glossy("glossy", vertices=36)
-    glossy.positions, glossy.faces = transfer.positions, transfer.faces
+    glossy = replaced(random_glossy(vertices=36), positions=transfer.positions, faces=transfer.faces)
     orbit = Orbit.around(transfer.positions, (1.0, 0.8, 0.3), sides=3)
     found = list(Studio(glossy, shader(glossy), environment(), size=SIZE).turntable(3, orbit, torch.eye(3)))
     for number, picture in enumerate(found):

@@ -16,7 +16,7 @@ from torchprt import bake, web
 from torchprt.compression import compress
 from torchprt.errors import InputError
 from torchprt.scene import Material, samples
-from torchprt.transfer import DiffuseTransfer, GlossyTransfer, save
+from torchprt.transfer import Transfer, save
 
 SIZE = {"width": 760, "height": 420}
 
@@ -30,25 +30,19 @@ def libraries() -> Path:
 
 
 @pytest.fixture(scope="session")
-def plane() -> DiffuseTransfer:
+def plane() -> Transfer:
     """A ground with the shadow of a square: nothing hides anything, so every pixel of it is smooth."""
-    baked = bake(samples.plane_and_blocker(32), order=4, rays=256, progress=False)
-    assert isinstance(baked, DiffuseTransfer)
-    return baked
+    return bake(samples.plane_and_blocker(32), order=4, rays=256, progress=False)
 
 
 @pytest.fixture(scope="session")
-def dish() -> GlossyTransfer:
+def dish() -> Transfer:
     material = Material(0.2, gloss="ggx:0.4", specular=(0.9, 0.6, 0.3))
-    baked = bake(samples.dish(24, material), order=3, rays=64, progress=False)
-    assert isinstance(baked, GlossyTransfer)
-    return baked
+    return bake(samples.dish(24, material), order=3, rays=64, progress=False)
 
 
 @pytest.fixture(scope="session")
-def pages(
-    libraries: Path, plane: DiffuseTransfer, dish: GlossyTransfer, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def pages(libraries: Path, plane: Transfer, dish: Transfer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Pages "plane" (with a compressed twin) and "dish", in a folder inside a folder; their transfer is beside them."""
     folder = tmp_path_factory.mktemp("site") / "some where"
     packed = compress(plane, clusters=8, components=2)

@@ -1,6 +1,5 @@
 """Is the folder whole or not there, and are its mesh, graph and lights those of the bake?"""
 
-import dataclasses
 import importlib
 import json
 import math
@@ -12,15 +11,15 @@ import PIL.Image
 import pytest
 import torch
 import trimesh
-from transfers import random_glossy
+from transfers import random_glossy, replaced
 
 from torchprt import onnx, sh
-from torchprt.compression import compress
+from torchprt.compression import compress, fit
 from torchprt.errors import InputError
 from torchprt.light import dominant, studio
 from torchprt.preview.environment import Environment
 from torchprt.shade import shader
-from torchprt.transfer import ZonalTransfer
+from torchprt.transfer import Zonal
 from torchprt.web import export, samples
 
 EXPORT = importlib.import_module("torchprt.web.export")
@@ -58,8 +57,8 @@ def about(folder):
 
 def test_refuses_what_it_cannot_show_and_leaves_nothing(make_transfer, tmp_path, lamps):
     transfer = make_transfer()
-    points = dataclasses.replace(transfer, faces=torch.zeros(0, 3, dtype=torch.int64))
-    other = dataclasses.replace(transfer, positions=transfer.positions + 1)
+    points = replaced(transfer, faces=torch.zeros(0, 3, dtype=torch.int64))
+    other = replaced(transfer, positions=transfer.positions + 1)
     infinite = [Environment("Sun", torch.full((16, 3), math.inf), studio(16))]
     for words, bake, options in (
         ("loose points", points, {}),
@@ -77,7 +76,7 @@ def test_refuses_what_it_cannot_show_and_leaves_nothing(make_transfer, tmp_path,
 def test_incident_transfer_needs_its_material_first(tmp_path, untyped):
     incident = random_glossy("incident", order=3, output_order=3)
     with pytest.raises(InputError, match="with_material"):
-        export(dataclasses.replace(incident, faces=torch.tensor([[0, 1, 2]])), tmp_path / "page")
+        export(replaced(incident, faces=torch.tensor([[0, 1, 2]])), tmp_path / "page")
     assert not list(tmp_path.iterdir())
 
 
@@ -166,22 +165,32 @@ def test_a_compressed_bake_is_shown_beside_the_full_one_or_alone(make_transfer, 
 def test_zonal_lobes_are_shown_in_their_rest_pose(make_transfer, tmp_path, untyped, lamps):
     plain = make_transfer()
     generator = torch.Generator().manual_seed(4)
-    lobes = ZonalTransfer(
-        axis=torch.nn.functional.normalize(torch.randn(2, 3, 25, generator=generator), dim=1),
-        coefficients=torch.randn(3, 2, 4, 25, generator=generator),
-        exact=torch.zeros(3, 0, 25),
+    signal = Zonal(
+        axis=torch.nn.functional.normalize(torch.randn(1, 2, 3, 25, generator=generator), dim=2),
+        coefficients=torch.randn(3, 1, 2, 4, 25, generator=generator),
+        exact=torch.zeros(3, 1, 0, 25),
         squared_error=torch.zeros(25),
-        albedo=plain.albedo,
-        positions=plain.positions,
-        normals=plain.normals,
-        faces=plain.faces,
     )
+    lobes = plain.with_layers(diffuse=plain.layers["diffuse"].replace(signal=signal))
     export(lobes, tmp_path / "page", environments=lamps, check=False)
     assert about(tmp_path / "page")["bytes"] == lobes.bytes
     light = torch.randn(1, 16, 3, generator=generator)
     feed = {"light": light.numpy(), "rotation": np.eye(3, dtype=np.float32)[None]}
     (radiance,) = onnxruntime.InferenceSession(tmp_path / "page" / "model.onnx").run(None, feed)
     expected = shader(lobes)(light)
+    np.testing.assert_allclose(radiance, expected, atol=1e-5 * float(expected.abs().max()))
+
+
+def test_exit_rows_in_lobes_are_shown_in_their_rest_pose(make_transfer, tmp_path, untyped, lamps):
+    plain = make_transfer()
+    baked = random_glossy("exit", vertices=25, glossy=9, output_order=2)
+    lobes = fit(replaced(baked, positions=plain.positions, faces=plain.faces), lobes=2)
+    export(lobes, tmp_path / "page", environments=lamps, check=False)
+    assert about(tmp_path / "page")["glossy"]
+    light, eye = torch.randn(1, 16, 3, generator=torch.Generator().manual_seed(4)), torch.tensor([[2.0, 3.0, 1.0]])
+    feed = {"light": light.numpy(), "rotation": np.eye(3, dtype=np.float32)[None], "eye": eye.numpy()}
+    (radiance,) = onnxruntime.InferenceSession(tmp_path / "page" / "model.onnx").run(None, feed)
+    expected = shader(lobes)(light, eye=eye)
     np.testing.assert_allclose(radiance, expected, atol=1e-5 * float(expected.abs().max()))
 
 

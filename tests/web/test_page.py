@@ -8,6 +8,7 @@ import onnxruntime
 import pytest
 import torch
 from scipy.ndimage import binary_erosion
+from transfers import stored
 from web.conftest import SIZE, Visit, at
 
 from torchprt import sh
@@ -326,4 +327,4 @@ def test_transfer_in_a_glb_reaches_three_js_under_small_letters(visit, address, 
         return [Object.keys(attributes), Array.from(attributes._prt_1.array.slice(0, 4))];
     """)
     assert {"_prt_0", "_prt_1", "_prt_2"} <= set(names)
-    np.testing.assert_array_equal(np.float32(first), plane.transfer[0, 4:8, 0])
+    np.testing.assert_array_equal(np.float32(first), stored(plane)[0, 4:8, 0])
