@@ -206,8 +206,27 @@ def test_metadata_are_readable_without_torchprt(written):
     assert metadata["format"] == str(FORMAT)
     assert "Condon-Shortley" in metadata["conventions"]
     assert json.loads(metadata["transport"]) == "shadowed"
-    assert json.loads(metadata["receivers"]) == {"kind": "vertices"}
-    assert json.loads(metadata["layers"]) == [{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense"}}]
+    assert json.loads(metadata["receivers"]) == {"kind": "vertices", "tensors": ["positions", "normals", "faces"]}
+    signal = {"kind": "dense", "tensors": ["values"]}
+    assert json.loads(metadata["layers"]) == [
+        {"name": "diffuse", "kind": "diffuse", "tensors": ["albedo"], "signal": signal}
+    ]
+
+
+def test_refuses_two_layers_of_one_name(written):
+    values, metadata = parts(written)
+    metadata["layers"] = json.dumps(2 * json.loads(metadata["layers"]))
+    save_file(values, written, metadata=metadata)
+    with pytest.raises(InputError, match="two layers are called 'diffuse'"):
+        load(written)
+
+
+@pytest.mark.parametrize("number", ["0", "²", "-1", "1.0", ""])
+def test_refuses_what_is_no_format(number, written):
+    values, metadata = parts(written)
+    save_file(values, written, metadata=metadata | {"format": number})
+    with pytest.raises(InputError, match="update torchprt"):
+        load(written)
 
 
 def test_refuses_another_suffix_and_writes_nothing(make_transfer, tmp_path):

@@ -35,7 +35,7 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
 
     The file holds the tensors of the receivers by name, those of a layer as `layer.name`, those of its signal as
     `layer.signal.name`; the metadata are the format version, conventions, provenance, and as JSON what the receivers,
-    the layers and their signals are.
+    the layers and their signals are, and which tensors they have.
     Raises InputError if a value is NaN or infinite, or `path` cannot be written or has another suffix.
     """
     path = Path(path)
@@ -55,10 +55,8 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
     for name, value in tensors.items():
         value = value.detach().cpu().contiguous()
         # Layers may share tensors, which a file may not.
-        shared = any(
-            value.untyped_storage().data_ptr() == each.untyped_storage().data_ptr() for each in contents.values()
-        )
-        contents[name] = value.clone() if shared else value
+        shared = {each.untyped_storage().data_ptr() for each in contents.values()}
+        contents[name] = value.clone() if value.untyped_storage().data_ptr() in shared else value
     with atomic(path) as temporary:
         save_file(contents, temporary, metadata=metadata)
 
@@ -75,7 +73,7 @@ def load(path: str | os.PathLike[str]) -> Transfer:
         raise InputError(f"{path} does not exist: give a file that `torchprt bake` wrote")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata, names = file.metadata() or {}, set(file.keys())
+            names = set(file.keys())
 
             def tensor(name: str) -> Tensor:
                 if name not in names:
@@ -83,15 +81,15 @@ def load(path: str | os.PathLike[str]) -> Transfer:
                 value: Tensor = file.get_tensor(name)
                 return value
 
-            return _read(path, metadata, names, tensor)
+            return _read(path, file.metadata() or {}, tensor)
     except (SafetensorError, OSError) as fault:
         raise InputError(f"{path} is not a whole safetensors file ({fault}): bake it again") from fault
 
 
-def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Callable[[str], Tensor]) -> Transfer:
+def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor]) -> Transfer:
     if "kind" not in metadata or "format" not in metadata:
         raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
-    if not metadata["format"].isdigit() or int(metadata["format"]) > FORMAT:
+    if metadata["format"] not in map(str, range(1, FORMAT + 1)):
         raise InputError(
             f"{path} has format {metadata['format']}, newer than the {FORMAT} that this torchprt reads: update torchprt"
         )
@@ -107,12 +105,14 @@ def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Callabl
         if metadata["format"] == "1":
             transfer = from_format1(metadata["kind"], tensor, entry, provenance)
         else:
-            receivers = _part(Receivers.family, "receivers", entry("receivers"), tensor, names, "")
-            layers = {}
+            receivers = _part(Receivers.family, "receivers", entry("receivers"), tensor, "")
+            layers: dict[str, Layer] = {}
             for said in entry("layers"):
                 name = said.pop("name")
-                signal = _part(Signal.family, "signal", said.pop("signal"), tensor, names, f"{name}.signal.")
-                layers[name] = _part(Layer.family, "layer", said, tensor, names, f"{name}.", signal=signal)
+                if name in layers:
+                    raise InputError(f"two layers are called '{name}': it is damaged, bake it again")
+                signal = _part(Signal.family, "signal", said.pop("signal"), tensor, f"{name}.signal.")
+                layers[name] = _part(Layer.family, "layer", said, tensor, f"{name}.", signal=signal)
             transfer = Transfer(receivers=receivers, layers=layers, **provenance)
         transfer.check()
     except InputError as fault:
@@ -129,23 +129,14 @@ def _read(path: Path, metadata: dict[str, str], names: set[str], tensor: Callabl
 
 
 def _said(part: Part) -> dict[str, Any]:
-    return {"kind": part.kind, **part.metadata()}
+    return {"kind": part.kind, "tensors": list(part.tensors()), **part.metadata()}
 
 
 def _part(
-    family: dict[str, type[Any]],
-    what: str,
-    said: dict[str, Any],
-    tensor: Callable[[str], Tensor],
-    names: set[str],
-    prefix: str,
-    **parts: Part,
+    family: dict[str, type[Any]], what: str, said: dict[str, Any], read: Callable[[str], Tensor], of: str, **parts: Part
 ) -> Any:
-    """A part of a transfer from what the metadata say of it, and from its tensors, whose names start with `prefix`."""
+    """A part of a transfer from what the metadata say of it, and from its tensors, whose names start with `of`."""
     kind = said.pop("kind")
     if kind not in family:
         raise InputError(f"{what} of kind '{kind}' is unknown to this torchprt: update torchprt")
-    made = family[kind]
-    optional = {name for name, layout in made.layouts.items() if layout.optional and prefix + name not in names}
-    tensors = {name: tensor(prefix + name) for name in made.layouts if name not in optional}
-    return made(**said, **tensors, **parts)
+    return family[kind](**{name: read(of + name) for name in said.pop("tensors")}, **said, **parts)
