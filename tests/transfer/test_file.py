@@ -102,7 +102,8 @@ def test_names_metadata_that_is_not_json(written):
         ({"receivers": '{"kind": "voxels"}'}, "receivers of kind 'voxels' is unknown .*: update torchprt"),
         (
             {
-                "layers": '[{"name": "diffuse", "kind": "holographic", "signal": {"kind": "dense", "tensors": ["values"]}}]'
+                "layers": '[{"name": "diffuse", "kind": "holographic", "signal": '
+                '{"kind": "dense", "tensors": ["values"]}}]'
             },
             "layer of kind 'holographic' is unknown to this torchprt: update torchprt",
         ),

@@ -280,7 +280,7 @@ def test_refuses_what_a_newer_torchprt_wrote(tmp_path):
         for newer in ("3", "12", "next"):
             save_file(values, tmp_path / "a.safetensors", metadata | {"format": newer})
             message = refusal(tmp_path / "a.safetensors")
-            assert f"has format {newer}, newer than the 2 that this torchprt reads: update torchprt" in message
+            assert f"has format {newer}, newer than the 2 of this torchprt: update torchprt" in message
 
 
 def test_what_is_not_glossy_is_kept_beside_what_is():

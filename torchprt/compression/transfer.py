@@ -67,12 +67,8 @@ def decompress(transfer: Transfer) -> Transfer:
     Raises InputError for a signal that cannot be written out number by number, as zonal lobes, whose pose a shader
     knows: `shader(transfer).fix_pose()`.
     """
-    dense = {
-        name: layer.signal.dense() if layer.signal.approximates else None for name, layer in transfer.layers.items()
-    }
-    changed = {
-        name: transfer.layers[name].replace(signal=signal) for name, signal in dense.items() if signal is not None
-    }
+    compressed = {name: layer for name, layer in transfer.layers.items() if layer.signal.approximates}
+    changed = {name: layer.replace(signal=layer.signal.dense()) for name, layer in compressed.items()}
     return transfer.with_layers(**changed)
 
 

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import onnx
 import torch
@@ -25,6 +26,7 @@ from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 
+Shapes: TypeAlias = dict[str, tuple[int | str, ...]]
 # The arguments of a graph whose input has another name in the file.
 ARGUMENTS = {"environment": "light", "view": "eye", "frames": "pose", "positions": "pose"}
 
@@ -39,8 +41,8 @@ class ExportReport:
     path: Path
     bytes: int
     opset: int
-    inputs: dict[str, tuple[int | str, ...]]
-    outputs: dict[str, tuple[int | str, ...]]
+    inputs: Shapes
+    outputs: Shapes
     operators: dict[str, int]
     parity: ParityReport | None
 
@@ -167,9 +169,7 @@ def _quiet() -> Iterator[None]:
             registration.setLevel(level)
 
 
-def _check_shapes(
-    planned: Plan, inputs: dict[str, tuple[int | str, ...]], outputs: dict[str, tuple[int | str, ...]]
-) -> None:
+def _check_shapes(planned: Plan, inputs: Shapes, outputs: Shapes) -> None:
     taken = {name: shape if name in planned.single else ("B", *shape) for name, shape in planned.inputs.items()}
     wanted = taken, {"radiance": ("B", planned.vertices, 3)}
     if (inputs, outputs) != wanted:

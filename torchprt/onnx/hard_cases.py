@@ -84,13 +84,14 @@ def receivers(shader: Shader | FixedLightShader, layer: EyeLayerModule, pose: Ma
     return Seen(points, local)
 
 
-def random_poses(shader: Shader, name: str, seed: int) -> list[dict[str, Tensor]]:
+def random_poses(shader: Shader | FixedLightShader, name: str, seed: int) -> list[dict[str, Tensor]]:
     """Three poses in float32 for the input "frames" or "positions".
 
     Frames: the identity, half turns about all axes in turn, and a random rotation for every vertex. Positions: the
     rest pose, and the mesh twisted, stretched by different factors and moved by its size, once turned around.
     """
     generator = torch.Generator().manual_seed(seed)
+    assert isinstance(shader, Shader)
     assert shader.estimate is not None
     count = shader.estimate.vertices
     identity = torch.eye(3).expand(count, 3, 3).contiguous()

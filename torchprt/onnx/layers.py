@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -81,21 +82,22 @@ class EyeLayerGraph(LayerGraph):
         self.toward = TowardEye(layer.frames, None if posed else layer.points, eye)
         self.exits = self.exit_functions(layer)
 
-    def exit_functions(self, layer: EyeLayerModule) -> nn.Module:
-        return ExitGraph(layer)
+    def exit_functions(self, layer: EyeLayerModule) -> Callable[[Tensor], Tensor]:
+        """From local directions `[3, B, G]` to values `[B, M, G]`."""
+        # The layer is no submodule: of its tensors only those that the functions read belong to the graph.
+        return lambda local: layer.exit_values(local.movedim(0, -1)).mT
 
     def values(self, eye: Tensor | None, frames: Tensor | None, points: Tensor | None) -> Tensor:
         assert eye is not None
-        found: Tensor = self.exits(self.toward(eye, frames, points))
-        return found
+        return self.exits(self.toward(eye, frames, points))
 
 
 class FactoredGraph(EyeLayerGraph):
     """A layer in factors that are read from their table."""
 
-    def exit_functions(self, layer: EyeLayerModule) -> nn.Module:
+    def exit_functions(self, layer: EyeLayerModule) -> Callable[[Tensor], Tensor]:
         assert isinstance(layer, FactoredLayer)
-        return FactorGraph(layer.factors) if layer.views is None else ExitGraph(layer)
+        return FactorGraph(layer.factors) if layer.views is None else super().exit_functions(layer)
 
 
 class VisibilityGraph(EyeLayerGraph):
@@ -146,18 +148,6 @@ class TowardGraph(SignalGraph):
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         assert values is not None
         return self.weighed(light.mT @ self.vectors(values.mT))
-
-
-class ExitGraph(nn.Module):
-    """Values `[B, M, G]` of the exit functions of a layer at local directions `[3, B, G]`."""
-
-    def __init__(self, layer: EyeLayerModule) -> None:
-        super().__init__()
-        # The layer is no submodule: of its tensors only those that the functions read belong to the graph.
-        self.values = layer.exit_values
-
-    def forward(self, local: Tensor) -> Tensor:
-        return self.values(local.movedim(0, -1)).mT
 
 
 class FactorGraph(nn.Module):

@@ -115,9 +115,8 @@ def compare(
         layer.points = layer.points.float().double()
     feeds = _cases(names, reference, shader, seed)
     count = len(next(iter(feeds.values())))
-    poses: list[dict[str, Tensor]] = [{}]
-    if isinstance(shader, Shader) and "pose" in shader.needs:
-        poses = random_poses(shader, names[-1], seed)
+    posed = isinstance(shader, Shader) and "pose" in shader.needs
+    poses: list[dict[str, Tensor]] = random_poses(shader, names[-1], seed) if posed else [{}]
     rms = largest = 0.0
     for pose in poses:
         with torch.no_grad():
@@ -136,8 +135,8 @@ def compare(
                     difference = (radiance.double() - wanted[index]) * weights[index]
                     rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
                     largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
-    total = count * len(batches) * len(poses)
-    return ParityReport(rms, largest, tolerance(shader.order, module), total, tuple(batches))
+    count *= len(batches) * len(poses)
+    return ParityReport(rms, largest, tolerance(shader.order, module), count, tuple(batches))
 
 
 def open_session(path: Path) -> onnxruntime.InferenceSession:

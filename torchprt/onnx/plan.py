@@ -195,8 +195,7 @@ def _numbers(transfer: Transfer) -> int:
     """Of all layers, their weights and tables, and of where receivers are: frames, positions and an index. Padding of
     clusters is little beside them."""
     parts = [part for layer in transfer.layers.values() for part in (layer, layer.signal)]
-    tensors = [item for part in parts for item in part.tensors().items() if item[0] != "squared_error"]
-    stored = sum(value.numel() for _, value in tensors)
+    stored = sum(value.numel() for part in parts for name, value in part.tensors().items() if name != "squared_error")
     return stored + sum(12 * layer.signal.shape[0] + 2 * transfer.vertices for layer in transfer.eye_layers.values())
 
 

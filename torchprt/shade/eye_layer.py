@@ -13,7 +13,7 @@ from torchprt.brdf import sample_hemisphere_map
 from torchprt.sh import exit_functions
 from torchprt.shade.dense import DenseSignal
 from torchprt.shade.layer import LayerModule, M, layer_module
-from torchprt.shade.signal import Making, SignalModule, hold
+from torchprt.shade.signal import Making, hold
 from torchprt.shade.view_directions import local_frames, local_views, toward_eye
 from torchprt.transfer import Exit, Factored
 from torchprt.transfer.layer import EyeLayer
@@ -32,6 +32,7 @@ class EyeLayerModule(LayerModule):
     """
 
     learnable: ClassVar[tuple[str, ...]] = ("specular",)
+    per_receiver: ClassVar[tuple[str, ...]] = ("points", "frames")
     specular: Tensor
     points: Tensor
     frames: Tensor
@@ -67,11 +68,6 @@ class EyeLayerModule(LayerModule):
             toward = (turn * toward.unsqueeze(1)).sum(0)
         return self.exit_values(local_views(toward, self.frames))
 
-    def taken(self: M, index: Tensor, signal: SignalModule) -> M:
-        assert isinstance(self, EyeLayerModule)
-        made = LayerModule.taken(self, index, signal)
-        return made.changed(frames=self.frames[..., index], points=self.points[..., index])
-
     def posed(self: M, frames: Tensor | None, positions: Tensor | None) -> M:
         assert isinstance(self, EyeLayerModule)
         receivers, _, rows, _ = self.signal.shape
@@ -102,7 +98,6 @@ class ExitLayer(EyeLayerModule):
         self.projection = layer.projection
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
-        """The exit functions of the local unit directions toward the eye."""
         return exit_functions(local, self.exit_order, self.projection)
 
 
@@ -126,5 +121,4 @@ class FactoredLayer(EyeLayerModule):
         self.exit_order = layer.factors.shape[-1]
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
-        """The factors at the local unit directions toward the eye."""
         return sample_hemisphere_map(self.factors, local) if self.views is None else self.views(local)

@@ -12,8 +12,8 @@ from torchprt.brdf import Brdf, exit_chain
 from torchprt.errors import InputError
 from torchprt.sh import Projection, bands, basis, exit_functions, phong
 from torchprt.shade.eye_layer import EyeLayerModule
-from torchprt.shade.layer import M, layer_module
-from torchprt.shade.signal import Making, SignalModule, hold
+from torchprt.shade.layer import layer_module
+from torchprt.shade.signal import Making, hold
 from torchprt.transfer import Exit, Incident, Layer, Transfer
 
 _EXPONENT = 40.0
@@ -39,6 +39,7 @@ class IncidentLayer(EyeLayerModule):
 
     learnable = ("exponent", "specular")
     choices = ("exponent", "brdf", "output_order", "projection")
+    per_receiver = ("points", "frames", "exponent")
     exponent: Tensor
     chain: Tensor
     band: Tensor
@@ -71,13 +72,6 @@ class IncidentLayer(EyeLayerModule):
             raise InputError("learn names 'exponent', but brdf is given: there is no lobe to learn")
         chain = exit_chain(brdf, self.output_order, self.incident_order, self.projection)
         self.register_buffer("chain", chain.to(device, making.dtype))
-
-    def taken(self: M, index: Tensor, signal: SignalModule) -> M:
-        assert isinstance(self, IncidentLayer)
-        made = EyeLayerModule.taken(self, index, signal)
-        if hasattr(self, "exponent") and self.exponent.numel() > 1:
-            return made.changed(exponent=self.exponent[index])
-        return made
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """What the SH coefficients of transferred incident radiance are weighted with, for these views."""

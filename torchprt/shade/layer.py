@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import copy
 import functools
-from typing import ClassVar, TypeVar
+from typing import ClassVar, TypeVar, cast
 
 import torch
 from jaxtyping import Float
@@ -31,6 +31,8 @@ class LayerModule(nn.Module, abc.ABC):
 
     learnable: ClassVar[tuple[str, ...]] = ()
     choices: ClassVar[tuple[str, ...]] = ()
+    # Buffers whose last dimension is the receivers.
+    per_receiver: ClassVar[tuple[str, ...]] = ()
     # How fast what is seen changes with the direction of the eye: as functions of this order.
     exit_order: int = 1
 
@@ -48,8 +50,7 @@ class LayerModule(nn.Module, abc.ABC):
 
     @property
     def weight(self) -> Float[Tensor, "#G #3"]:
-        value: Tensor = getattr(self, self.weight_name)
-        return value
+        return cast(Tensor, getattr(self, self.weight_name))
 
     def values(
         self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None = None, positions: Tensor | None = None
@@ -108,7 +109,9 @@ class LayerModule(nn.Module, abc.ABC):
         """About those of its receivers that `index` names, one perhaps more than once, whose transfer is `signal`."""
         weight = self.weight[index] if len(self.weight) > 1 else self.weight
         receivers = index if self.receivers is None else self.receivers[index]
-        return self.changed(signal=signal, receivers=receivers, **{self.weight_name: weight})
+        held = {name: getattr(self, name) for name in self.per_receiver if getattr(self, name, None) is not None}
+        moved = {name: v[..., index] for name, v in held.items() if v.shape[-1:] == (self.signal.shape[0],)}
+        return self.changed(signal=signal, receivers=receivers, **moved, **{self.weight_name: weight})
 
     def changed(self: M, **parts: Tensor | nn.Module | None) -> M:
         """The same with other buffers or submodules; all others are shared."""

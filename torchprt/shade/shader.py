@@ -219,9 +219,8 @@ def shader(
         for name, layer in transfer.layers.items()
     }
     open_ = {choice for pair in classes.values() for each in pair for choice in getattr(each, "choices", ())}
-    for name in given:
-        if name not in open_:
-            raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' does not leave it open")
+    for name in sorted(given.keys() - open_):
+        raise InputError(f"{name} is given, but transfer of kind '{transfer.kind}' does not leave it open")
     learnable = {
         name: [each for part in pair for each in getattr(part, "learnable", ())] for name, pair in classes.items()
     }

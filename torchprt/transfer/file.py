@@ -90,9 +90,8 @@ def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor])
     if "kind" not in metadata or "format" not in metadata:
         raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
     if metadata["format"] not in map(str, range(1, FORMAT + 1)):
-        raise InputError(
-            f"{path} has format {metadata['format']}, newer than the {FORMAT} that this torchprt reads: update torchprt"
-        )
+        found = metadata["format"]
+        raise InputError(f"{path} has format {found}, newer than the {FORMAT} of this torchprt: update torchprt")
 
     def entry(name: str) -> Any:
         try:
@@ -122,9 +121,7 @@ def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor])
         raise InputError(f"{path} has damaged metadata ({fault}): bake it again") from fault
     except (IndexError, ValueError, RuntimeError) as fault:
         # Of so few dimensions that it cannot be brought into the layouts of today.
-        raise InputError(
-            f"{path} has a tensor of a shape that its kind has not: it is damaged, bake it again"
-        ) from fault
+        raise InputError(f"{path} has a tensor of a shape that its kind has not: bake it again") from fault
     return transfer
 
 

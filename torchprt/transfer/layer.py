@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import torch
 from jaxtyping import Int
@@ -52,8 +52,7 @@ class Layer(Part, abc.ABC):
 
     @property
     def weight(self) -> Tensor:
-        value: Tensor = getattr(self, self.weight_name)
-        return value
+        return cast(Tensor, getattr(self, self.weight_name))
 
     @property
     def order(self) -> int:
@@ -98,9 +97,7 @@ class Layer(Part, abc.ABC):
             raise InputError(f"{self.weight_name} of the transfer is outside [0, 1]: bake it again")
         chosen = self.receivers
         if chosen is not None and len(chosen) > 1 and not bool((chosen[1:] > chosen[:-1]).all()):
-            raise InputError(
-                "receivers of the transfer must name vertices in ascending order, each once: bake it again"
-            )
+            raise InputError("receivers of the transfer must be in ascending order, each once: bake it again")
 
     def check_among(self, count: int) -> None:
         """InputError unless its receivers are among `count`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -146,7 +145,7 @@ class Visibility(EyeLayer):
 
     def to_order(self, order: int) -> Visibility:
         columns_of(order, self.light_order)
-        return dataclasses.replace(self, light_order=order)
+        return self.replace(light_order=order)
 
 
 def _check_rows(name: str, rows: int, output_order: int, projection: str) -> None:

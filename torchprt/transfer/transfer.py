@@ -159,7 +159,6 @@ def diffuse_transfer(
     **provenance: Any,
 ) -> Transfer:
     """Transfer of one diffuse layer of these vectors at the vertices of a mesh; see `Diffuse` and `Transfer`."""
-    vertices = Vertices(positions=positions, normals=normals, faces=faces)
-    return Transfer(
-        receivers=vertices, layers={"diffuse": Diffuse(albedo=albedo, signal=Dense(values=vectors))}, **provenance
-    )
+    receivers = Vertices(positions=positions, normals=normals, faces=faces)
+    layer = Diffuse(albedo=albedo, signal=Dense(values=vectors))
+    return Transfer(receivers=receivers, layers={"diffuse": layer}, **provenance)
