@@ -368,7 +368,14 @@ def whole_numbers(tensors):
 
 def renamed(kind, other):
     """What the file says of its layers, one of whose kinds is another."""
-    said = [{"name": "diffuse", "kind": "diffuse", "signal": {"kind": "dense"}}]
+    said = [
+        {
+            "name": "diffuse",
+            "kind": "diffuse",
+            "tensors": ["albedo"],
+            "signal": {"kind": "dense", "tensors": ["values"]},
+        }
+    ]
     return json.dumps(said).replace(f'"kind": "{kind}"', f'"kind": "{other}"')
 
 
