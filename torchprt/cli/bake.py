@@ -30,6 +30,7 @@ def bake(
     two_sided: Annotated[bool, typer.Option("--two-sided", help="Surfaces reflect with both sides.")] = False,
     blocker: Annotated[list[Path] | None, typer.Option(help="A mesh that only casts shadows (repeatable).")] = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
+    raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Turns the set of directions.")] = 0,
     threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
@@ -83,6 +84,7 @@ def bake(
             visibility_order=visibility_order,
             projection=onto,
             factors=few,
+            raw=raw,
         )
     except KeyboardInterrupt:
         kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
