@@ -71,9 +71,9 @@ def render(
         tone=preview.tone_map(tone),
         backdrop=background,
     )
-    camera = preview.frame(loaded.positions, side, aspect=width / height)
+    camera = preview.frame(loaded.receivers.subject, side, aspect=width / height)
     if turntable:
-        orbit = preview.Orbit.around(loaded.positions, side, aspect=width / height, sides=turntable)
+        orbit = preview.Orbit.around(loaded.receivers.subject, side, aspect=width / height, sides=turntable)
         pictures = list(studio.turntable(turntable, orbit, turn))
     elif light_turntable:
         pictures = list(studio.light_turntable(light_turntable, camera, turn))

@@ -24,7 +24,8 @@ class Still:
     """A model seen by a camera: the hits are found once, then every light and rotation is an interpolation.
 
     `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel along each side.
-    The camera of `frame` if none is given. Back faces are black: they reflect nothing.
+    The camera of `frame` if none is given. Back faces are black: they reflect nothing. `opacity [V]` in [0, 1]: how much
+    of the surface covers what is behind the model, 1 if it is not given (`preview.opacity` makes it for a ground).
     Raises InputError if the model has no faces or the picture no pixels.
     """
 
@@ -36,6 +37,7 @@ class Still:
         size: tuple[int, int] = (800, 600),
         camera: Camera | None = None,
         samples: int = 2,
+        opacity: Float[Tensor, "V"] | None = None,
     ):
         if len(faces) == 0:
             raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
@@ -58,6 +60,8 @@ class Still:
         weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1)
         self._vertices = len(positions)
         self._corners = corners
+        covers = 1.0 if opacity is None else (weights * opacity[corners]).sum(-1).to(torch.float32)
+        self._covered = torch.where(self._seen, covers, 0.0)[..., None]
         self._weights = torch.where((self._seen & front)[..., None], weights, 0)
         self._samples = samples
 
@@ -77,7 +81,8 @@ class Still:
                 f"radiance of {len(vertex_radiance)} vertices for a model of {self._vertices}: give each one"
             )
         shaded = (vertex_radiance[self._corners] * self._weights[..., None].to(vertex_radiance)).sum(-2)
-        picture = torch.where(self._seen[..., None], shaded, background)
+        covered = self._covered.to(shaded)
+        picture = covered * shaded + (1 - covered) * background
         height, width = picture.shape[0] // self._samples, picture.shape[1] // self._samples
         return picture.view(height, self._samples, width, self._samples, 3).mean((1, 3))
 

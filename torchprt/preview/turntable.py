@@ -16,6 +16,7 @@ from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.preview.camera import Camera
 from torchprt.preview.environment import Environment, seen_along
+from torchprt.preview.ground import opacity
 from torchprt.preview.orbit import Orbit
 from torchprt.preview.picture import BACKGROUND, Still
 from torchprt.preview.relight import Relight
@@ -29,7 +30,7 @@ class Studio:
     """Pictures of `transfer` by its `shader`, seen from `camera`, in `environment`, without a display.
 
     `rotation` turns the environment, which is shown behind the model if `backdrop`. Glossy transfer is shaded for the
-    eye of the camera. `exposure` in stops.
+    eye of the camera. `exposure` in stops. A ground fades toward its edge unless `with_ground`.
     Raises InputError as `Still` and the shader.
     """
 
@@ -44,6 +45,7 @@ class Studio:
         tone: ToneMap = "filmic",
         backdrop: bool = False,
         samples: int = 2,
+        with_ground: bool = False,
     ):
         if backdrop and environment.image is None:
             raise InputError(f"{environment.name} has no image to show behind the model: give an environment image")
@@ -56,12 +58,18 @@ class Studio:
         self.samples = samples
         self._relight = Relight(shader)
         self._still: Still | None = None
+        self._opacity = None if with_ground else opacity(transfer.receivers)
 
     def picture(self, camera: Camera, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "H W 3"]:
         """One picture as sRGB in [0, 1]. Rays are traced only if the camera is another than before."""
         if self._still is None or self._still.camera != camera:
             self._still = Still(
-                self.transfer.positions, self.transfer.faces, size=self.size, camera=camera, samples=self.samples
+                self.transfer.positions,
+                self.transfer.faces,
+                size=self.size,
+                camera=camera,
+                samples=self.samples,
+                opacity=self._opacity,
             )
         lit = self._relight(rotate(self.environment.light, rotation), torch.tensor(camera.eye, dtype=torch.float64))
         behind: float | Tensor = BACKGROUND

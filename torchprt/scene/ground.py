@@ -18,7 +18,7 @@ from .object import Object
 
 REACH = 8.0
 """Radius of the disc, in radii of what stands on it: from there its shadow is nothing, and pictures have faded."""
-FINE, COARSENING = 1 / 40, 0.15
+FINE, COARSENING = 1 / 40, 0.12
 """Edges under the model, in radii of its outline seen from above; outward they grow by this share of the way."""
 GAP = 1e-4
 """How far below its height the disc lies, in radii of the model: what stands on the height must not lie in the disc."""
