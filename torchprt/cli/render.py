@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
+from torchprt.cli.bake_on_the_way import Source
 from torchprt.cli.environments import STUDIO, environment_of
 from torchprt.cli.report import say
 from torchprt.errors import InputError
@@ -18,7 +19,10 @@ MOST = 720
 
 
 def render(
-    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` or `compress` wrote.")],
+    source: Annotated[
+        list[Path],
+        typer.Argument(help="A .safetensors of `torchprt bake` or `compress`; or meshes or a scene, baked on the way."),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help=".png (a turntable as a sheet) or .gif.")],
     light: Annotated[
         str, typer.Option(help="An environment image, an .npy of light coefficients, studio or sky.")
@@ -35,10 +39,29 @@ def render(
     ] = None,
     tone: Annotated[str, typer.Option(help="filmic or none.")] = "filmic",
     rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
-    material: options.OpenGloss = None,
+    material: Annotated[
+        str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
+    ] = None,
+    with_ground: bake_options.WithGround = False,
+    bake: Annotated[
+        Path | None,
+        typer.Option(rich_help_panel=bake_options.BAKE, help="Keep what is baked on the way in this .safetensors."),
+    ] = None,
+    order: bake_options.Order = None,
+    rays: bake_options.Rays = None,
+    bounces: bake_options.Bounces = None,
+    albedo: bake_options.Albedo = None,
+    specular: bake_options.Specular = None,
+    two_sided: bake_options.TwoSided = False,
+    blocker: bake_options.Blocker = None,
+    ground: bake_options.Ground = None,
+    ground_albedo: bake_options.GroundAlbedo = None,
+    output_order: bake_options.OutputOrder = None,
+    seed: bake_options.Seed = None,
+    threads: bake_options.CPUs = None,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
-    """Picture of a bake, or a turntable of them, without a display. Glossy surfaces follow the camera."""
+    """Picture of a bake or a mesh, or a turntable of them, without a display. Glossy surfaces follow the camera."""
     import torch
 
     import torchprt as prt
@@ -55,12 +78,16 @@ def render(
         raise InputError(f"--rate is {rate}: give pictures a second, above 0 and up to 50")
     if exposure is not None and not abs(exposure) <= 100:
         raise InputError(f"--exposure is {exposure}: give stops from -100 to 100")
-    loaded = prt.load_transfer(transfer)
-    chosen = options.gloss_of(loaded, material)
-    environment = environment_of(light, loaded.order, repair)
+    given: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "albedo": albedo, "material": material}
+    given |= {"specular": specular, "two_sided": two_sided, "blocker": blocker, "output_order": output_order}
+    given |= {"ground": ground, "ground_albedo": ground_albedo, "seed": seed, "threads": threads}
+    opened = Source(source, bake, given)
+    environment = environment_of(light, opened.order, repair)
     environment = dataclasses.replace(environment, light=options.windowed(environment.light, window))
     if background and environment.image is None:
         raise InputError(f"--background is given, but {light} is no image: give one as --light")
+    loaded = opened.transfer()
+    chosen = None if opened.scene else options.gloss_of(loaded, material)
     stops = preview.automatic_exposure(environment.light) if exposure is None else exposure
     studio = preview.Studio(
         loaded,
@@ -70,10 +97,12 @@ def render(
         exposure=stops,
         tone=preview.tone_map(tone),
         backdrop=background,
+        with_ground=with_ground,
     )
-    camera = preview.frame(loaded.receivers.subject, side, aspect=width / height)
+    seen = loaded.positions if with_ground else loaded.receivers.subject
+    camera = preview.frame(seen, side, aspect=width / height)
     if turntable:
-        orbit = preview.Orbit.around(loaded.receivers.subject, side, aspect=width / height, sides=turntable)
+        orbit = preview.Orbit.around(seen, side, aspect=width / height, sides=turntable)
         pictures = list(studio.turntable(turntable, orbit, turn))
     elif light_turntable:
         pictures = list(studio.light_turntable(light_turntable, camera, turn))

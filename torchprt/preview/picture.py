@@ -24,8 +24,8 @@ class Still:
     """A model seen by a camera: the hits are found once, then every light and rotation is an interpolation.
 
     `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel along each side.
-    The camera of `frame` if none is given. Back faces are black: they reflect nothing. `opacity [V]` in [0, 1]: how much
-    of the surface covers what is behind the model, 1 if it is not given (`preview.opacity` makes it for a ground).
+    The camera of `frame` if none is given. Back faces are black: they reflect nothing. `opacity [V]` in [0, 1]: how
+    much the surface covers of the background, 1 if it is not given (`preview.opacity` makes it for a ground).
     Raises InputError if the model has no faces or the picture no pixels.
     """
 
