@@ -47,7 +47,7 @@ def bake(
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
     check_writable(output, (".safetensors",))
-    count, few = options.bounces(bounces or bake_options.BOUNCES), options.factors(factors)
+    count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
     scene = bake_options.scene_of(

@@ -78,6 +78,9 @@ class Vertices(Receivers):
     original: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
 
+    def metadata(self) -> dict[str, Any]:
+        return {"objects": list(self.objects)} if self.objects else {}
+
     def ground(self) -> Bool[Tensor, "V"]:
         found = super().ground()
         for each in self.objects:
