@@ -98,6 +98,11 @@ def srgb(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     return linear_rgb_to_rgb(planes).reshape(3, *radiance.shape[:-1]).movedim(0, -1)
 
 
+def linear(values: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
+    """sRGB in [0, 1] to linear RGB (IEC 61966-2-1): what `srgb` undoes."""
+    return torch.where(values <= 0.04045, values / 12.92, ((values.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
+
+
 def check_tone(name: str) -> ToneMap:
     """`name` as a tone map; InputError if there is none of that name."""
     for tone in TONES:
