@@ -13,7 +13,7 @@ SOLID = 0.45
 
 
 def subject(receivers: Any) -> Float[Tensor, "S 3"]:
-    """The places that a camera is to hold in its picture: those of everything but the ground, unless there is no other."""
+    """What a camera is to hold in its picture: the places of all but the ground, unless there is nothing else."""
     ground = _ground(receivers)
     if ground is None or bool(ground.all()):
         return receivers.positions

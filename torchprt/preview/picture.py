@@ -175,7 +175,10 @@ def reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
 
 
 def save_png(picture: Float[Tensor, "H W C"], path: str | os.PathLike[str]) -> None:
-    """Writes sRGB values in [0, 1] as 8-bit PNG, a fourth channel as its transparency. Raises InputError if `path` cannot be written."""
+    """Writes sRGB values in [0, 1] as 8-bit PNG, a fourth channel as opacity.
+
+    Raises InputError if `path` cannot be written.
+    """
     from PIL import Image
 
     values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
 from torchprt.preview.environment import WINDOWS, Environment, automatic_exposure, photograph, windowed
 from torchprt.preview.error_colours import error_colours
+from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
@@ -89,7 +89,7 @@ class Session:
         self.environment = 0
         self.backdrop = BACKDROPS[0]
         self.rotation = torch.eye(3)
-        self.orbit = self._home = Orbit.around(self.rest, toward)
+        self.orbit = self._home = Orbit.around(subject(first.receivers).double(), toward)
         self.picked: int | None = None
         self.radius = float((self.rest - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
         self._brdf = brdf

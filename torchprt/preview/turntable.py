@@ -26,7 +26,6 @@ from torchprt.shade import Shader, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.transfer import Transfer
 
-
 Background = Literal["plain", "environment", "transparent"] | tuple[float, float, float]
 
 
@@ -78,10 +77,10 @@ class Studio:
         if radiance is None:
             eye = torch.tensor(camera.eye, dtype=torch.float64)
             radiance = self._relight(rotate(self.environment.light, rotation), eye)
-        shown = {"exposure": self.exposure, "tone": self.tone}
         if self.background == "transparent":
-            return still.cutout(radiance.float(), **shown)
-        return still.picture(radiance.float(), **shown, background=self._behind(camera, rotation))
+            return still.cutout(radiance.float(), exposure=self.exposure, tone=self.tone)
+        behind = self._behind(camera, rotation)
+        return still.picture(radiance.float(), exposure=self.exposure, tone=self.tone, background=behind)
 
     def colours(self, camera: Camera, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "H W C"]:
         """One picture of sRGB colours of the vertices, neither exposed nor tone mapped."""

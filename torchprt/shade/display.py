@@ -63,8 +63,8 @@ def agx(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
 
     Suns and flames keep their gradations, at the price of contrast and of saturated base colours. Negative radiance
     maps to 0, as does what is below 2^-12.5.
-    Source: Sobotka, "AgX" (2022), as in Blender 4; the fit of its curve by Wrensch, "Minimal AgX implementation" (2023),
-    with the matrices for Rec. 2020 of Filament and three.js.
+    Source: Sobotka, "AgX" (2022), as in Blender 4; its curve as fitted by Wrensch, "Minimal AgX
+    implementation" (2023), with the matrices for Rec. 2020 of Filament and three.js.
     """
     inward, outward, back = (radiance.new_tensor(table).T for table in (_IN, OUTSET, FROM_REC2020))
     stops = torch.log2(torch.clamp(torch.clamp(radiance, min=0) @ inward, min=1e-10))
@@ -140,7 +140,9 @@ def _clip(radiance: Tensor) -> Tensor:
 
 
 def _product(a: tuple[tuple[float, ...], ...], b: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)) for row in a)
+    return tuple(
+        tuple(sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)) for row in a
+    )
 
 
 _IN = _product(INSET, TO_REC2020)
