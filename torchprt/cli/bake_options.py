@@ -112,6 +112,10 @@ OutputOrder = Annotated[
         show_default="as --order",
     ),
 ]
+Keep = Annotated[
+    Path | None,
+    typer.Option("--bake", rich_help_panel=BAKE, help="Keep what is baked on the way in this .safetensors."),
+]
 WithGround = Annotated[
     bool, typer.Option("--with-ground", help="The ground of the bake is part of the model: framed, whole, written.")
 ]

@@ -1,4 +1,4 @@
-"""How a ground ends in a picture: it fades, because its edge is no part of the scene."""
+"""A ground in a picture: it is not framed, and it fades, because its edge is no part of the scene."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ CAMERA = 3.3
 """Where a camera usually stands."""
 POWER = 1.6
 """Above 1, because half of the light is much more than half as bright to the eye."""
+
+
+def subject(receivers: Receivers) -> Float[Tensor, "S 3"]:
+    """What a camera is to hold in its picture: the places of all but the ground, unless there is nothing else."""
+    return receivers.subject
 
 
 def opacity(receivers: Receivers) -> Float[Tensor, "V"] | None:
