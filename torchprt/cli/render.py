@@ -13,6 +13,7 @@ from torchprt.cli.environments import STUDIO, environment_of
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+from torchprt.words import count
 
 MOST = 720
 
@@ -83,5 +84,5 @@ def render(
         preview.save_gif(pictures, output, rate)
     else:
         preview.save_png(preview.strip(pictures), output)
-    count = "1 picture" if len(pictures) == 1 else f"{len(pictures)} pictures"
-    say(f"{output}: {count} of {width} x {height}, exposure {stops:+.2f} stops, under {environment.name}")
+    shape = f"{count(len(pictures), 'picture')} of {width} x {height}"
+    say(f"{output}: {shape}, exposure {stops:+.2f} stops, under {environment.name}")

@@ -12,6 +12,7 @@ from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
+from torchprt.words import count
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -71,14 +72,15 @@ def shade(
         radiance = prt.shader(rest, brdf=chosen)(coefficients, turn, **seen, **moved).float()
     dark = int((loaded.normals.abs().sum(-1) == 0).sum())
     if dark:
-        say(f"{dark} of {len(radiance)} vertices have no normal and read 0")
+        say(f"{dark} of {count(len(radiance), 'vertex')} without a normal read 0")
     negative = int((radiance < 0).any(-1).sum())
     if negative:
         fault = "the light rings at this order, --window auto takes that away"
         if seen:
             fault = "the light and the gloss ring at their orders, --window auto takes away what the light does"
         least = float(radiance.min())
-        say(f"{negative} of {len(radiance)} vertices have negative radiance, down to {least:.3g}: {fault}")
+        share = f"{negative} of {count(len(radiance), 'vertex')}"
+        say(f"negative radiance at {share}, down to {least:.3g}: {fault}")
     if still is not None:
         preview.save_png(still.picture(radiance, exposure=exposure, tone=preview.tone_map(tone)), output)
     elif output.suffix.lower() == ".ply":
@@ -90,7 +92,7 @@ def shade(
         radiance = loaded.receivers.in_mesh_order(radiance)
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
-    say(f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}")
+    say(f"{output}: {count(len(radiance), 'vertex')}, mean radiance {triple(radiance.mean(0))}")
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
+from torchprt.sh.constant import assume_constant
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
 
@@ -99,7 +100,7 @@ def _turn(light: Tensor, rotation: Tensor, constants: tuple[Tensor, Tensor, Tens
     return (values.reshape(*values.shape[:-2], channels, halves * points.shape[0]) @ project).mT
 
 
-@torch.compiler.assume_constant_result
+@assume_constant
 def _constants(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     build = _build_constants if torch.compiler.is_compiling() else _cached_constants
     return build(order, dtype, device)
