@@ -1,17 +1,15 @@
-"""Functions whose result a compiler may take as it is."""
-
-from __future__ import annotations
+"""Tables that a traced graph takes as they are."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
-Marked = TypeVar("Marked", bound=Callable)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
-def assume_constant(function: Marked) -> Marked:
-    """`torch.compiler.assume_constant_result`, without loading the compiler: a second of every start of a program.
+def constant(function: F) -> F:
+    """`torch.compiler.assume_constant_result`, without loading the compiler, which takes longer than all else here.
 
-    The mark is read when the compiler meets the function, so it need not be there before.
+    That function sets this attribute and no more; a test compares the two.
     """
     function._dynamo_marked_constant = True  # type: ignore[attr-defined]
     return function
