@@ -42,7 +42,7 @@ VERBS: tuple[Callable[..., None], ...] = (
     demo,
 )
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 for verb in VERBS:
     app.command(cls=GroundCommand)(verb)
 

@@ -13,6 +13,7 @@ from torchprt.cli.bake_on_the_way import Source
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+from torchprt.words import count
 
 MOST = 720
 
@@ -105,6 +106,7 @@ def render(
         preview.save_gif(pictures, output, rate)
     else:
         preview.save_png(preview.strip(pictures), output)
-    count = "1 picture" if len(pictures) == 1 else f"{len(pictures)} pictures"
     shape = "{} x {}".format(*picture.size)
-    say(f"{output}: {count} of {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}")
+    say(
+        f"{output}: {count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}"
+    )

@@ -24,6 +24,7 @@ from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
+from torchprt.words import count
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
 UNBAKED = ("unshadowed", "one lamp")
@@ -176,8 +177,9 @@ class Session:
         shown = self._stored()
         bake = self._all[shown]
         lines = [
-            f"{self.mode}: {shown}" + ("" if self.mode in UNBAKED else f", {bake.transport}, {bake.bounces} bounces"),
-            f"light: {self.environments[self.environment].name}, {self.order} of {self.highest} bands, "
+            f"{self.mode}: {shown}"
+            + ("" if self.mode in UNBAKED else f", {bake.transport}, {count(bake.bounces, 'bounce')}"),
+            f"light: {self.environments[self.environment].name}, {self.order} of {count(self.highest, 'band')}, "
             f"window {self.window}",
             f"exposure {self.stops:+.1f} stops",
         ]
@@ -222,7 +224,7 @@ class Session:
         """The next of the bakes that were given: without interreflection, with it."""
         self.bake = _after(list(self.bakes or self.compressed), self.bake)
         bake = self._all[self.bake]
-        return f"bake: {self.bake}, {bake.transport}, {bake.bounces} bounces"
+        return f"bake: {self.bake}, {bake.transport}, {count(bake.bounces, 'bounce')}"
 
     def next_backdrop(self) -> str:
         self.backdrop = _after(BACKDROPS, self.backdrop)
