@@ -28,6 +28,7 @@ def bake(
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
+    raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: bake_options.Seed = None,
     threads: bake_options.CPUs = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
@@ -76,6 +77,7 @@ def bake(
         visibility_order=visibility_order,
         projection=onto,
         factors=few,
+        raw=raw,
     )
     for line in details(transfer)[1:]:
         say(line)
