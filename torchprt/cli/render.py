@@ -107,6 +107,5 @@ def render(
     else:
         preview.save_png(preview.strip(pictures), output)
     shape = "{} x {}".format(*picture.size)
-    say(
-        f"{output}: {count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}"
-    )
+    made = f"{count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops"
+    say(f"{output}: {made}, under {environment.name}")
