@@ -22,12 +22,14 @@ FINE, COARSENING = 1 / 40, 0.12
 """Edges under the model, in radii of its outline seen from above; outward they grow by this share of the way."""
 GAP = 1e-4
 """How far below its height the disc lies, in radii of the model: what stands on the height must not lie in the disc."""
-CLOSE = 2e-3
+CLOSE = 3e-2
 """How near above the ground, in radii of the model, something covers it."""
 BESIDE = 2e-3
 """How far, in radii of the model, from its outline vertices are put: many times the gap, through which they would look
 under it."""
 HALVINGS = 12
+FLATTEST = 0.05
+"""Share of its area that a triangle must keep."""
 
 
 def ground(objects: Sequence[Object], height: float | None = None, albedo: Albedo = 0.5) -> list[Object]:
@@ -152,7 +154,18 @@ def _onto_outline(
     moved = points.clone()
     for vertex, place in zip(mover[order].tolist(), outer[order], strict=True):
         moved[vertex] = place
+    # Two neighbours that moved toward each other may have turned a triangle over: they go back.
+    whole = _areas(points, faces)
+    while bool((folded := _areas(moved, faces) < FLATTEST * whole).any()):
+        back = faces[folded].flatten()
+        moved[back] = points[back]
     return moved
+
+
+def _areas(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"]) -> Float64[Tensor, "F"]:
+    """Twice the areas of triangles at y = 0, negative if they face down."""
+    a, b, c = points[faces].unbind(1)
+    return torch.linalg.cross(b - a, c - a)[:, 1]
 
 
 def _underside(points: Float64[Tensor, "V 3"], depth: float) -> Mesh:
