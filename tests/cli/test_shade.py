@@ -132,7 +132,16 @@ def test_exposure_and_tone_change_the_picture_and_not_the_radiance(done, shaded,
 
 def test_a_lit_model_reloads_elsewhere_as_it_was(done, shaded, folder, tmp_path):
     done(
-        "shade", folder / "ball.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.ply", "--tone", "none"
+        "shade",
+        folder / "ball.safetensors",
+        "--light",
+        folder / "lamp.exr",
+        "-o",
+        tmp_path / "a.ply",
+        "--tone",
+        "none",
+        "--exposure",
+        0,
     )
     there, ball = (trimesh.load(path, process=False) for path in (tmp_path / "a.ply", folder / "ball.ply"))
     np.testing.assert_array_equal(there.vertices, ball.vertices)

@@ -1,6 +1,8 @@
 """Does a preview show what its state says, and is every change to it the one that was asked for?"""
 
+import copy
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -164,9 +166,9 @@ def test_the_ways_without_transfer_see_no_shadow(session):
     assert float(ground.std(0).min()) > 0.01
 
 
-def test_the_five_modes_are_five_pictures(session):
+def test_the_five_modes_of_light_are_five_pictures(session):
     pictures = [session.colours()]
-    for mode in MODES[1:]:
+    for mode in MODES[1:5]:
         assert session.next_mode().startswith(f"mode: {mode}")
         pictures.append(session.colours())
     for one in range(5):
@@ -174,6 +176,26 @@ def test_the_five_modes_are_five_pictures(session):
             assert not torch.allclose(pictures[one], pictures[other], atol=1e-6, rtol=0)
     assert session.next_mode() == "mode: transfer"
     close(session.colours(), pictures[0])
+
+
+def test_without_a_map_of_sight_the_window_says_so_and_stays_as_it_is(session):
+    assert "does not say" in session.set_mode("sight")
+    assert session.mode == "transfer"
+
+
+def test_the_map_of_sight_is_told_in_words_and_left_for_a_bake_without(shadowed, bounced):
+    receivers = copy.copy(bounced.receivers)
+    receivers.sight = torch.zeros(bounced.vertices, dtype=torch.uint8)
+    receivers.sight[3] = 4
+    session = Session({"bounced": replace(bounced, receivers=receivers), "shadowed": shadowed}, environments())
+    assert session.set_mode("sight") == "mode: sight"
+    red, grey = session.colours()[3], session.colours()[4]
+    assert red[0] > 2 * red[1]
+    assert float(grey.std()) < 0.05
+    assert session.status()[-1] == "red: 1 vertex, each is blind, and dark"
+    session.next_bake()
+    assert session.mode == "transfer"
+    assert session.colours().shape == (shadowed.vertices, 3)
 
 
 def test_compressed_is_the_file_that_was_given(shadowed):

@@ -14,6 +14,7 @@ from torchprt.errors import InputError
 from torchprt.files import check_writable
 
 MOST = 720
+SHOWN = ("radiance", "sight")
 
 
 def render(
@@ -34,6 +35,9 @@ def render(
     backdrop: asked.Backdrop = None,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
+    show: Annotated[
+        str, typer.Option(help="radiance, or sight: which vertices could look out when they were baked.")
+    ] = SHOWN[0],
     rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
     material: options.OpenGloss = None,
     repair: asked.Repair = False,
@@ -59,6 +63,7 @@ def render(
         tone=tone,
         repair=repair,
     )
+    options.choice(show, "--show", SHOWN)
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if not 0 < rate <= 50:
@@ -68,7 +73,8 @@ def render(
     loaded = prt.load_transfer(transfer)
     chosen = options.gloss_of(loaded, material)
     environment = picture.environment(loaded.order)
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment)
+    colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
+    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:
@@ -81,4 +87,9 @@ def render(
         preview.save_png(preview.strip(pictures), output)
     count = "1 picture" if len(pictures) == 1 else f"{len(pictures)} pictures"
     shape = "{} x {}".format(*picture.size)
+    if show == "sight":
+        for line in preview.sight_legend(loaded.receivers):
+            say(line)
+        say(f"{output}: {count} of {shape}, sight of the vertices")
+        return
     say(f"{output}: {count} of {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

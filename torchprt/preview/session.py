@@ -20,12 +20,13 @@ from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
+from torchprt.preview.sight import sight_colours, sight_legend, sight_of
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 
-MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
+MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
 BACKDROPS = ("plain", "environment", "environment in bands")
@@ -151,7 +152,7 @@ class Session:
             self.seconds if self.follows_pose else None,
         )
         if self._shown is None or self._shown[0] != key:
-            self._shown = key, self._error() if self.mode == "error" else self._display(self.radiance())
+            self._shown = key, self._make_colours()
         return self._shown[1]
 
     def backdrop_image(self) -> Float[Tensor, "H W 3"] | None:
@@ -183,6 +184,8 @@ class Session:
         ]
         if self.mode == "error" and self.worst is not None:
             lines.append(f"error {self.worst:.2%} RMS, red is {self._most():.2%}")
+        if self.mode == "sight":
+            lines += sight_legend(bake.receivers)
         return lines
 
     # Changes
@@ -199,11 +202,16 @@ class Session:
             return f"mode: {self.mode}; for {mode} give the file of the bake before it was compressed too"
         if mode == self.mode == "compressed" and self.packed is not None:
             self.packed = _after(list(self.compressed), self.packed)
+        if mode == "sight" and sight_of(self._all[self.bake].receivers) is None:
+            return f"mode: {self.mode}; this bake does not say which of its vertices could look out"
         self.mode = mode
         return f"mode: {mode}, {self._stored()}" if mode == "compressed" else f"mode: {mode}"
 
     def next_mode(self) -> str:
-        return self.set_mode(_after(MODES, self.mode))
+        before, after = self.mode, _after(MODES, self.mode)
+        said = self.set_mode(after)
+        # A map of sight that is not there is passed over, not a place where this ends.
+        return self.set_mode(_after(MODES, after)) if after == "sight" and self.mode == before else said
 
     def change_order(self, step: int) -> str:
         """Drops or adds bands of the light."""
@@ -222,6 +230,8 @@ class Session:
         """The next of the bakes that were given: without interreflection, with it."""
         self.bake = _after(list(self.bakes or self.compressed), self.bake)
         bake = self._all[self.bake]
+        if self.mode == "sight" and sight_of(bake.receivers) is None:
+            self.mode = "transfer"
         return f"bake: {self.bake}, {bake.transport}, {bake.bounces} bounces"
 
     def next_backdrop(self) -> str:
@@ -283,7 +293,7 @@ class Session:
 
     def _stored(self) -> str:
         """The name of the bake that is shaded in the present mode."""
-        if self.mode in ("transfer", *UNBAKED):
+        if self.mode in ("transfer", "sight", *UNBAKED):
             return self.bake
         return self.packed or self._compress(self.bake)
 
@@ -316,6 +326,11 @@ class Session:
 
     def _pose(self) -> Tensor | None:
         return self.positions if self.follows_pose and self.positions is not self.rest else None
+
+    def _make_colours(self) -> Tensor:
+        if self.mode == "sight":
+            return sight_colours(self._all[self.bake].receivers)
+        return self._error() if self.mode == "error" else self._display(self.radiance())
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""
