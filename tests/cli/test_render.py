@@ -50,7 +50,7 @@ def pixels(path):
 )
 def test_render_refuses(refused, folder, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
-    np.save("light.npy", np.ones((25, 3)))
+    np.save("light.npy", np.ones((16, 3)))
     given = arguments if "-o" in arguments else [*arguments, "-o", "a.png"]
     refused(*words, arguments=["render", folder / "ball.safetensors", *given])
 

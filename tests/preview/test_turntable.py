@@ -81,9 +81,10 @@ def test_behind_the_model_is_the_turned_environment(transfer):
     camera = Orbit.around(transfer.positions, (0.3, 0.2, 1.0)).camera()
     turn = sh.yaw_pitch_roll(torch.tensor([90.0, 0.0, 0.0]))
     # One texel in four is a colour of its own, so a turn by a quarter shows as columns that move by a quarter.
-    image = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0))
+    # As fine as the pixels are, so that it is shown as it is.
+    image = torch.rand(64, 128, 3, generator=torch.Generator().manual_seed(0))
     around = {}
-    for name, shown, rotation in (("turned", image, turn), ("moved", image.roll(-8, 1), torch.eye(3))):
+    for name, shown, rotation in (("turned", image, turn), ("moved", image.roll(-32, 1), torch.eye(3))):
         behind = Environment(name, environment().light, shown)
         made = Studio(transfer, shader(transfer), behind, size=SIZE, background="environment", tone="none")
         around[name] = made.picture(camera, rotation)

@@ -57,7 +57,7 @@ def blender(colour):
 
 
 def colours():
-    """Greys, hues and everything between, from far below to far above what a screen shows, and where formulas change."""
+    """Colours from far below to far above what a screen shows, and where formulas change."""
     random = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)).double()
     scaled = random * 2.0 ** torch.linspace(-12, 8, 400).double()[:, None]
     corners = [
