@@ -1,24 +1,22 @@
 """Does the map of sight show each vertex as what it is, and say in words what its colours are?"""
 
-from types import SimpleNamespace
-
-import pytest
 import torch
 
-from torchprt.errors import InputError
 from torchprt.preview import sight_colours, sight_legend
-from torchprt.preview.sight import SIGHTS
+from torchprt.transfer import Vertices
 
 
-def receivers(sight):
-    return SimpleNamespace(sight=torch.tensor(sight, dtype=torch.uint8), normals=torch.zeros(len(sight), 3))
+def receivers(sight, count=5):
+    marks = None if sight is None else torch.tensor(sight, dtype=torch.uint8)
+    faces = torch.zeros(0, 3, dtype=torch.int32)
+    return Vertices(positions=torch.rand(count, 3), normals=torch.zeros(count, 3), faces=faces, sight=marks)
 
 
-def test_a_bake_that_does_not_say_is_refused_and_has_no_legend():
-    for bake in (SimpleNamespace(), SimpleNamespace(sight=None)):
-        assert sight_legend(bake) == []
-        with pytest.raises(InputError, match="bake it again"):
-            sight_colours(bake)
+def test_a_bake_without_marks_is_grey_and_says_why():
+    colours = sight_colours(receivers(None))
+    assert torch.equal(colours, colours[:1].expand(5, 3))
+    (line,) = sight_legend(receivers(None))
+    assert line.startswith("grey: no vertex is marked")
 
 
 def test_each_kind_has_a_colour_of_its_own():
@@ -31,7 +29,7 @@ def test_each_kind_has_a_colour_of_its_own():
 
 
 def test_the_shape_is_seen_and_the_colour_kept():
-    bake = receivers([1, 1])
+    bake = receivers([1, 1], count=2)
     bake.normals = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     up, down = sight_colours(bake)
     assert (up > down).all()
@@ -39,10 +37,8 @@ def test_the_shape_is_seen_and_the_colour_kept():
 
 
 def test_the_legend_counts_what_there_is_and_nothing_else():
-    lines = sight_legend(receivers([0, 0, 0, 4, 2]))
-    assert lines == [
-        "grey: 3 vertices, each looked out as it stands",
-        "green: 1 vertex, each looked out from another place",
-        "red: 1 vertex, each is blind, and dark",
+    assert sight_legend(receivers([0, 0, 0, 4, 2])) == [
+        "grey: 3 vertices, lit by its own rays",
+        "green: 1 vertex, lit by its own rays from another place",
+        "red: 1 vertex, lit not at all, and dark",
     ]
-    assert len(SIGHTS) == 5

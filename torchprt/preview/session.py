@@ -20,11 +20,12 @@ from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
-from torchprt.preview.sight import sight_colours, sight_legend, sight_of
+from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
+from torchprt.words import count
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
@@ -177,8 +178,9 @@ class Session:
         shown = self._stored()
         bake = self._all[shown]
         lines = [
-            f"{self.mode}: {shown}" + ("" if self.mode in UNBAKED else f", {bake.transport}, {bake.bounces} bounces"),
-            f"light: {self.environments[self.environment].name}, {self.order} of {self.highest} bands, "
+            f"{self.mode}: {shown}"
+            + ("" if self.mode in UNBAKED else f", {bake.transport}, {count(bake.bounces, 'bounce')}"),
+            f"light: {self.environments[self.environment].name}, {self.order} of {count(self.highest, 'band')}, "
             f"window {self.window}",
             f"exposure {self.stops:+.1f} stops",
         ]
@@ -202,16 +204,11 @@ class Session:
             return f"mode: {self.mode}; for {mode} give the file of the bake before it was compressed too"
         if mode == self.mode == "compressed" and self.packed is not None:
             self.packed = _after(list(self.compressed), self.packed)
-        if mode == "sight" and sight_of(self._all[self.bake].receivers) is None:
-            return f"mode: {self.mode}; this bake does not say which of its vertices could look out"
         self.mode = mode
         return f"mode: {mode}, {self._stored()}" if mode == "compressed" else f"mode: {mode}"
 
     def next_mode(self) -> str:
-        before, after = self.mode, _after(MODES, self.mode)
-        said = self.set_mode(after)
-        # A map of sight that is not there is passed over, not a place where this ends.
-        return self.set_mode(_after(MODES, after)) if after == "sight" and self.mode == before else said
+        return self.set_mode(_after(MODES, self.mode))
 
     def change_order(self, step: int) -> str:
         """Drops or adds bands of the light."""
@@ -230,9 +227,7 @@ class Session:
         """The next of the bakes that were given: without interreflection, with it."""
         self.bake = _after(list(self.bakes or self.compressed), self.bake)
         bake = self._all[self.bake]
-        if self.mode == "sight" and sight_of(bake.receivers) is None:
-            self.mode = "transfer"
-        return f"bake: {self.bake}, {bake.transport}, {bake.bounces} bounces"
+        return f"bake: {self.bake}, {bake.transport}, {count(bake.bounces, 'bounce')}"
 
     def next_backdrop(self) -> str:
         self.backdrop = _after(BACKDROPS, self.backdrop)
