@@ -165,12 +165,12 @@ def test_the_ways_without_transfer_see_no_shadow(session):
     assert float(ground.std(0).min()) > 0.01
 
 
-def test_the_five_modes_of_light_are_five_pictures(session):
+def test_the_modes_are_pictures_of_their_own(session):
     pictures = [session.colours()]
-    for mode in MODES[1:5]:
+    for mode in MODES[1:]:
         assert session.next_mode().startswith(f"mode: {mode}")
         pictures.append(session.colours())
-    for one in range(5):
+    for one in range(len(MODES)):
         for other in range(one):
             assert not torch.allclose(pictures[one], pictures[other], atol=1e-6, rtol=0)
     assert session.next_mode() == "mode: transfer"
