@@ -20,7 +20,6 @@ from torchprt.errors import InputError
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
 from torchprt.shade import at_rest
-from torchprt.shade.display import TONE
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
@@ -97,7 +96,6 @@ def export(
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
         stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
         about = _about(full, transfer, compressed, title) | {
-            "tone": TONE,
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
             "environments": [
                 as_json(each, full.order, picture, exposure)
