@@ -2,19 +2,21 @@
 
 import contextlib
 import io
-import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from torchprt.errors import InputError
 
+from .gltf import Document, Piece
+from .gltf import pieces as gltf_pieces
 from .mesh import Mesh, make_mesh
 from .obj import parse_obj
 
@@ -30,6 +32,12 @@ class Raw(NamedTuple):
     uv: np.ndarray | None = None
     """Texture coordinates of every corner, [F, 3, 2]; NaN where there are none."""
     tangents: np.ndarray | None = None
+    materials: np.ndarray | None = None
+    """Which material of the file every face has, [F] whole numbers from 0; -1 for none."""
+    more_uv: Mapping[int, np.ndarray] = MappingProxyType({})
+    """Further sets of texture coordinates by their number from 1 on, each as `uv`, which is set 0."""
+    notes: tuple[str, ...] = ()
+    """What the file holds that is not here, in sentences."""
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -45,8 +53,11 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
       TEXCOORD_0 of a .glb) give the tangents, unless the file holds tangents (TANGENT of a .glb).
     - An .obj does not say how much it holds: one that was cut at the end of a line cannot be told from a whole one.
 
-    Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, compressed, without
-    faces, or faulty as `make_mesh` says.
+    - Of a .glb or .gltf, what its default scene draws: skins and morph targets at rest, instances, Draco and meshopt
+      decompressed. Points and lines are left out, and the report says so.
+
+    Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, without faces, requires
+    an extension that is not known, or is faulty as `make_mesh` says.
     """
     source = Path(path)
     reader = READERS.get(source.suffix.lower())
@@ -72,7 +83,8 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
             f"{source} is damaged, cut short or not a {source.suffix.lower()} file of triangles "
             f"({_reason(fault)}): export the mesh again"
         ) from fault
-    return make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
+    mesh = make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
+    return replace(mesh, report=replace(mesh.report, notes=raw.notes))
 
 
 @contextlib.contextmanager
@@ -136,7 +148,19 @@ def _join(pieces: list[Raw]) -> Raw:
         colours,
         uv,
         tangents,
+        None if all(piece.materials is None for piece in pieces) else _materials(pieces),
+        {number: _more_uv(pieces, number) for number in sorted({each for piece in pieces for each in piece.more_uv})},
+        tuple(note for piece in pieces for note in piece.notes),
     )
+
+
+def _materials(pieces: list[Raw]) -> np.ndarray:
+    none = [np.full(len(piece.faces), -1) if piece.materials is None else piece.materials for piece in pieces]
+    return np.concatenate(none)
+
+
+def _more_uv(pieces: list[Raw], number: int) -> np.ndarray:
+    return np.concatenate([p.more_uv.get(number, np.full((len(p.faces), 3, 2), np.nan)) for p in pieces])
 
 
 def _read_ply(data: bytes, source: Path) -> list[Raw]:
@@ -235,84 +259,30 @@ def _read_off(data: bytes, source: Path) -> list[Raw]:
 
 
 def _read_gltf(data: bytes, source: Path) -> list[Raw]:
-    from trimesh import Scene
-    from trimesh.exchange.gltf import load_glb, load_gltf
-    from trimesh.resolvers import FilePathResolver
+    found = gltf_pieces(Document(data, source))
+    result = [_raw(piece) for piece in found.pieces]
+    if result:
+        result[0] = result[0]._replace(notes=tuple(found.notes))
+    elif found.notes:
+        raise InputError(f"{source} holds no triangles ({' '.join(found.notes)}): give a mesh of triangles")
+    return result
 
-    binary = source.suffix.lower() == ".glb"
-    if binary and len(data) < int.from_bytes(data[8:12], "little"):
-        raise InputError(f"{source} is cut short, {len(data)} bytes: export the mesh again")
-    header = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")] if binary else data)
-    used = {*header.get("extensionsUsed", ()), *header.get("extensionsRequired", ())}
-    compressed = {"EXT_meshopt_compression", "KHR_meshopt_compression"} & used
-    if not find_spec("DracoPy"):
-        compressed |= {"KHR_draco_mesh_compression"} & used
-    if compressed:
-        raise InputError(f"{source} is compressed with {min(compressed)}: export the mesh without compression")
-    loaded = (load_glb if binary else load_gltf)(
-        io.BytesIO(_with_own_names(data, header, binary)), resolver=FilePathResolver(str(source)), skip_materials=True
+
+def _raw(piece: Piece) -> Raw:
+    faces = piece.faces
+    inside = not faces.size or 0 <= faces.min() <= faces.max() < len(piece.positions)
+    # A face that names no vertex is refused later, in words.
+    corners = {number: values[faces] for number, values in piece.uv.items()} if inside else {}
+    return Raw(
+        piece.positions,
+        faces,
+        piece.normals,
+        None if piece.colours is None else piece.colours[:, :3],
+        corners.pop(0, None),
+        piece.tangents,
+        np.full(len(faces), -1 if piece.material is None else piece.material),
+        corners,
     )
-    geometry = loaded["geometry"]
-    scene = Scene(base_frame=loaded["base_frame"])
-    for node in loaded["graph"]:
-        scene.graph.update(**node)
-    # trimesh walks the nodes from the last to the first: of one mesh, the node met last is the file's first.
-    met = [node for node in loaded["graph"] if "geometry" in node][::-1]
-    rank = {name: number for number, name in enumerate(geometry)}
-    pieces = []
-    for node in sorted(met, key=lambda node: rank[node["geometry"]]):
-        piece = geometry[node["geometry"]]
-        if piece.get("faces") is None:
-            continue
-        matrix, _ = scene.graph[node["frame_to"]]
-        pieces.append(_placed(piece, matrix))
-    return pieces
-
-
-def _with_own_names(data: bytes, header: dict[str, Any], binary: bool) -> bytes:
-    """The file with its texture coordinates and tangents named so that trimesh hands them on without materials."""
-    for mesh in header.get("meshes", ()):
-        for primitive in mesh["primitives"]:
-            attributes = primitive["attributes"]
-            attributes.update(
-                {f"_{name}": attributes[name] for name in ("TEXCOORD_0", "TANGENT") if name in attributes}
-            )
-    text = json.dumps(header).encode()
-    if not binary:
-        return text
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + int.from_bytes(data[12:16], "little") :]
-    total = 20 + len(text) + len(rest)
-    return data[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + data[16:20] + text + rest
-
-
-def _placed(piece: dict[str, Any], matrix: np.ndarray) -> Raw:
-    linear = matrix[:3, :3]
-    positions = np.asarray(piece["vertices"], np.float64) @ linear.T + matrix[:3, 3]
-    faces = np.asarray(piece["faces"], np.int64)
-    # A transform that mirrors turns the winding; the standard asks to turn it back.
-    mirrored = np.linalg.det(linear) < 0
-    normals = piece.get("vertex_normals")
-    if normals is not None:
-        # Normals go by the cofactor matrix, which exists even where the inverse does not.
-        cofactor = np.stack(
-            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
-        )
-        normals = np.asarray(normals, np.float64) @ cofactor.T * (-1 if mirrored else 1)
-    colours = piece.get("vertex_colors")
-    if colours is not None:
-        largest = np.iinfo(colours.dtype).max if np.issubdtype(colours.dtype, np.integer) else 1
-        colours = np.asarray(colours, np.float64)[:, :3] / largest
-    faces = faces[:, ::-1] if mirrored else faces
-    named = piece.get("vertex_attributes", {})
-    uv = named.get("_TEXCOORD_0")
-    if uv is not None:
-        inside = not faces.size or 0 <= faces.min() <= faces.max() < len(uv)
-        uv = np.asarray(uv, np.float64)[faces] if inside else None
-    tangents = named.get("_TANGENT")
-    if tangents is not None:
-        tangents = np.asarray(tangents, np.float64)[:, :3] @ linear.T
-    return Raw(positions, faces, normals, colours, uv, tangents)
 
 
 READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
