@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchprt.trace import Tracer
 from torchprt.transport.bounce import Gather, Surfaces, shadowed_with_hits
+from torchprt.transport.bounces import SPENT
 from torchprt.transport.diffuse import projection, shadowed
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.membrane import Sheets
@@ -18,7 +19,9 @@ from torchprt.transport.task import Once, Results, Task
 
 @dataclass
 class Job:
-    """What a bake is made of, and nothing that changes while it runs."""
+    """What a bake is made of, and nothing that changes while it runs.
+
+    `enough`: endless bounces end when one adds less than this part of the transfer (RMS)."""
 
     tracer: Tracer
     surfaces: Surfaces
@@ -28,6 +31,7 @@ class Job:
     seed: int
     channels: int
     sheets: Sheets | None = None
+    enough: float = SPENT
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:

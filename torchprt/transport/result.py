@@ -25,7 +25,16 @@ def diffuse(geometry: Geometry, points: Points | None, vectors: Tensor, **metada
 
 def vertices(geometry: Geometry) -> Vertices:
     """The receivers of a scene."""
-    return _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
+    where = _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
+    sides = (("front", geometry.slices), ("back", geometry.back_slices))
+    return where.replace(
+        objects=[
+            {"name": name, "role": role, "side": side, "rows": [rows.start, rows.stop]}
+            for side, slices in sides
+            for name, role, rows in zip(geometry.names, geometry.roles, slices, strict=True)
+            if rows.stop > rows.start
+        ]
+    )
 
 
 def uniform(weights: Tensor) -> Tensor:
