@@ -44,6 +44,8 @@ class Piece:
     positions: Float64[np.ndarray, "V 3"]
     faces: Int64[np.ndarray, "F 3"]
     """Counter-clockwise seen from outside, also where the node mirrors."""
+    mirrored: bool
+    """Whether for that they are turned from how the file has them."""
     normals: Float64[np.ndarray, "V 3"] | None
     """In the direction that they have in the world, not of unit length."""
     tangents: Float64[np.ndarray, "V 3"] | None
@@ -173,6 +175,7 @@ def _placed(nodes: Nodes, primitive: Primitive, where: tuple[int | None, int, in
         matrix,
         positions,
         primitive.faces[:, ::-1] if mirrored else primitive.faces,
+        mirrored,
         normals,
         None if tangents is None else _turned(linear, tangents[:, :3]),
         {number: values[f"TEXCOORD_{number}"] for number in sets},

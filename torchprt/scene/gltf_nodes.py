@@ -48,9 +48,13 @@ class Nodes:
 
     def instances(self, number: int) -> list[Matrix]:
         """World matrices of what a node draws: its own, or several of EXT_mesh_gpu_instancing."""
+        return [self.world(number) @ offset for offset in self.offsets(number)]
+
+    def offsets(self, number: int) -> list[Matrix]:
+        """The same in the frame of the node."""
         packed = self.document.entry("nodes", number).get("extensions", {}).get(INSTANCING)
         if packed is None:
-            return [self.world(number)]
+            return [np.eye(4)]
         parts = {
             name: np.asarray(self.document.accessor(packed["attributes"][key]), np.float64)
             for name, key in (("translation", "TRANSLATION"), ("rotation", "ROTATION"), ("scale", "SCALE"))
@@ -59,8 +63,7 @@ class Nodes:
         lengths = {len(values) for values in parts.values()}
         if len(lengths) != 1:
             raise InputError(f"{self.document.source} has uneven instances of node {number}: export the mesh again")
-        rows = ({name: values[row] for name, values in parts.items()} for row in range(lengths.pop()))
-        return [self.world(number) @ local(row) for row in rows]
+        return [local({name: values[row] for name, values in parts.items()}) for row in range(lengths.pop())]
 
     def joints(self, skin: int) -> Float64[np.ndarray, "J 4 4"]:
         """Matrices of the joints of a skin, from the bound vertices to the world."""

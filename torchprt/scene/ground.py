@@ -122,9 +122,7 @@ class _Cover:
         return (triangle >= 0) & (inside | (above < self._close))
 
 
-def _onto_outline(
-    points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], cover: _Cover
-) -> Float64[Tensor, "V 3"]:
+def _onto_outline(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], cover: _Cover) -> Float64[Tensor, "V 3"]:
     """`points`, those nearest to the outline of what covers them moved onto it, by half an edge at most.
 
     Source: Labelle and Shewchuk 2007, "Isosurface stuffing", the warping of vertices onto a surface.
