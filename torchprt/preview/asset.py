@@ -119,13 +119,11 @@ def add_others(file: AssetFile, asset: Asset, transfer: Transfer, values: Values
     places = {"POSITION": transfer.positions, "NORMAL": unit_normals(transfer.normals)}
     arrays = {name: numbers(receivers.in_mesh_order(value)) for name, value in places.items()}
     arrays |= {name: numbers(value) for name, value in values.items()}
-    order = receivers.in_mesh_order(torch.arange(transfer.vertices)[:, None])[:, 0]
-    faces = order.argsort()[transfer.faces.long()].cpu().numpy()
+    order = receivers.in_mesh_order(torch.arange(transfer.vertices, dtype=torch.float64)[:, None])[:, 0].long()
+    faces = order.argsort()[transfer.faces.long().cpu()].numpy()
     kept = {rows.start for rows in (asset.front, asset.back) if rows is not None}
-    for each in objects_of(transfer):
+    for each in (each for each in objects_of(transfer) if each["rows"][0] not in kept):
         first, end = each["rows"]
-        if first in kept:
-            continue
         name, rows = Path(each["name"]).name, slice(first, end)
         inside = ((faces >= first) & (faces < end)).all(axis=1)
         attributes = {key: file.accessor(array[rows], bounds=key == "POSITION") for key, array in arrays.items()}
