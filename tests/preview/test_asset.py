@@ -261,8 +261,11 @@ def test_a_bake_in_another_order_fits(tmp_path):
     document = kept(transfer, tmp_path / "b.glb")
     (piece,) = pieces(document).pieces
     np.testing.assert_allclose(piece.positions, whole.positions, atol=1e-6)
-    # Clusters are near to what they hold.
-    assert np.corrcoef(first(document, piece), whole.layers["diffuse"].signal.values[0, 0])[0, 1] > 0.9
+    entry = document.tree["meshes"][0]["primitives"][0]
+    found = document.accessor(entry["attributes"]["_PRT_0"])
+    wanted = whole.layers["diffuse"].signal.values[0].T.numpy()
+    # Clusters are near to what they hold, each vertex to its own.
+    assert np.abs(found - wanted).max() < 0.2 < np.abs(found - wanted[::-1]).max()
 
 
 def test_reverse_sides_have_attributes_of_their_own(tmp_path):
