@@ -14,7 +14,7 @@ import numpy as np
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.scene.gltf import DRACO, MESHOPT, Document, decode_draco
+from torchprt.scene.gltf import DRACO, MESHOPT, Document, as_declared, decode_draco
 from torchprt.version import VERSION
 
 LARGEST = 2**32 - 1
@@ -128,8 +128,8 @@ class AssetFile:
         if of not in self._packed:
             entry = self.tree["accessors"][number]
             index = not of[1]
-            kind = np.dtype(values.dtype if index else {v: k for k, v in COMPONENTS.items()}[entry["componentType"]])
-            made = self._described(values.astype(kind.newbyteorder("<")), index, "min" in entry and not index)
+            rows = values if index else as_declared(values, entry)
+            made = self._described(rows, index, "min" in entry and not index)
             if "bufferView" in entry:
                 number = self.add("accessors", {**entry, **made})
             else:

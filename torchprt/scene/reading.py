@@ -19,6 +19,7 @@ from .gltf import Document, Piece
 from .gltf import pieces as gltf_pieces
 from .mesh import Mesh, make_mesh
 from .obj import parse_obj
+from .usd import read_usd
 
 
 class Raw(NamedTuple):
@@ -41,7 +42,7 @@ class Raw(NamedTuple):
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a .ply, .obj, .glb, .gltf, .stl or .off file, with a report of what was found.
+    """The mesh in a .ply, .obj, .glb, .gltf, .stl, .off or .usd file, with a report of what was found.
 
     - The order of vertices is the file's own; nothing is dropped or merged. Polygons become triangles.
       An .obj vertex that faces use with several normals is repeated beside itself, once for each of them.
@@ -55,6 +56,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
 
     - Of a .glb or .gltf, what its default scene draws: skins and morph targets at rest, instances, Draco and meshopt
       decompressed. Points and lines are left out, and the report says so.
+    - Of a .usd, .usda, .usdc or .usdz what `read_usd` says, if torchprt[usd] is installed.
 
     Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, without faces, requires
     an extension that is not known, or is faulty as `make_mesh` says.
@@ -285,6 +287,12 @@ def _raw(piece: Piece) -> Raw:
     )
 
 
+def _read_usd(data: bytes, source: Path) -> list[Raw]:
+    meshes, notes = read_usd(source)
+    result = [Raw(mesh.positions, mesh.faces, mesh.normals, mesh.colours, mesh.uv) for mesh in meshes]
+    return [result[0]._replace(notes=tuple(notes)), *result[1:]] if result else []
+
+
 READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
     ".ply": _read_ply,
     ".obj": _read_obj,
@@ -292,4 +300,8 @@ READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
     ".gltf": _read_gltf,
     ".stl": _read_stl,
     ".off": _read_off,
+    ".usd": _read_usd,
+    ".usda": _read_usd,
+    ".usdc": _read_usd,
+    ".usdz": _read_usd,
 }
