@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gltf_files import Gltf, draco, meshopt_view
+from PIL import Image
 
 from torchprt.compression import compress, reorder
 from torchprt.errors import InputError
@@ -362,3 +363,52 @@ def test_both_sides_are_lit_and_each_is_seen_from_its_own(tmp_path):
     transfer = baked(made.save(tmp_path / "a.glb"), two_sided=True)
     lit(tmp_path / "b.glb", transfer, colours)
     assert torch.equal(read_mesh(tmp_path / "b.glb").faces, transfer.faces.long())
+
+
+def textured(dark: int) -> Gltf:
+    """The square with a picture that is dark in its left half and white in its right."""
+    texels = np.full((8, 8, 3), 255, np.uint8)
+    texels[:, :4] = dark
+    content = io.BytesIO()
+    Image.fromarray(texels).save(content, "PNG")
+    made = square(
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "baseColorFactor": [0.5, 0.1, 1, 1]}}],
+        textures=[{"source": 0, "sampler": 0}],
+        samplers=[{"magFilter": 9728}],
+    )
+    made.tree["images"] = [{"bufferView": made.view(content.getvalue()), "mimeType": "image/png"}]
+    primitive = made.tree["meshes"][0]["primitives"][0]
+    primitive["material"] = 0
+    primitive["attributes"]["TEXCOORD_0"] = made.accessor(SQUARE[:, :2].astype("<f4"))
+    return made
+
+
+def test_a_texture_times_its_light_is_the_colour_in_the_mean(tmp_path):
+    transfer = baked(textured(128).save(tmp_path / "a.glb"))
+    colours = torch.rand(4, 3)
+    save_lit_glb(transfer, colours, tmp_path / "b.glb")
+    (piece,) = pieces(Document.read(tmp_path / "b.glb")).pieces
+    # Hat functions over the faces by brute force; 128 of 255 in sRGB is .2158605 in linear numbers.
+    random = np.random.default_rng(0).dirichlet([1, 1, 1], 200_000)
+    for vertex in range(4):
+        total, weight = 0.0, 0.0
+        for face in HALVES[(vertex == HALVES).any(axis=1)]:
+            hat = random[:, list(face).index(vertex)]
+            left = random @ SQUARE[face, 0] < 0.5
+            total += (hat * np.where(left, 0.2158605, 1)).sum()
+            weight += hat.sum()
+        # Monte Carlo of 2e5 and samples of an edge through texels.
+        np.testing.assert_allclose(piece.colours[vertex] * total / weight, colours[vertex], rtol=0.02)
+
+
+def test_how_far_colours_reach_above_one_is_said_and_where_nothing_can_be_shown_little_is(tmp_path):
+    transfer = baked(textured(0).save(tmp_path / "a.glb"))
+    assert "COLOR_0 reaches" in save_lit_glb(transfer, torch.full((4, 3), 0.9), tmp_path / "b.glb")
+    assert "COLOR_0" not in save_lit_glb(transfer, torch.full((4, 3), 0.01), tmp_path / "b.glb")
+    black = baked(textured(0).save(tmp_path / "a.glb"))
+    made = textured(0)
+    made.tree["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = made.accessor(np.full((4, 2), 0.1, "<f4"))
+    made.save(tmp_path / "a.glb")
+    save_lit_glb(black, torch.full((4, 3), 0.5), tmp_path / "b.glb")
+    (piece,) = pieces(Document.read(tmp_path / "b.glb")).pieces
+    np.testing.assert_allclose(piece.colours, np.full((4, 3), 25), rtol=1e-6)

@@ -193,7 +193,8 @@ def test_a_glb_under_a_light_keeps_textures_and_needs_no_light(folder, opened):
             continue
         material = new["material"]
         assert (material["type"], material["coloured"]) == ("MeshBasicMaterial", True)
-        for kept in ("name", "map", "colour", "side", "alpha"):
+        assert material["colour"] == [1, 1, 1]
+        for kept in ("name", "map", "side", "alpha"):
             assert material[kept] == old["material"][kept]
         for name, values in old["attributes"].items():
             assert name == "color" or new["attributes"][name] == values

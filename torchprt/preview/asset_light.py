@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, find_asset
 from torchprt.preview.glb import save_glb
 from torchprt.scene.gltf import Piece
+from torchprt.scene.surface import read_surface
 from torchprt.transfer import Transfer
 
 LEAST = 0.02
@@ -66,7 +68,10 @@ def keep_light(asset: Asset, transfer: Transfer, colours: Float[Tensor, "V 3"]) 
 
 def texture_means(asset: Asset) -> Float[np.ndarray, "V 3"]:
     """What the base colour texture is around each vertex of the asset, linear; 1 where there is none."""
-    return np.ones((sum(len(piece.positions) for piece in asset.pieces), 3))
+    surface = read_surface(asset.document.source)
+    # Factors and vertex colours left out: the file that is written has neither.
+    plain = tuple(replace(paint, colour=None) for paint in surface.paints)
+    return replace(surface, paints=plain, raw=surface.raw._replace(tint=None)).look(gloss=False).diffuse
 
 
 class _Lit:

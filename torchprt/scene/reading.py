@@ -17,8 +17,12 @@ from torchprt.errors import InputError
 
 from .gltf import Document, Piece
 from .gltf import pieces as gltf_pieces
+from .gltf_material import gltf_paints
 from .mesh import Mesh, make_mesh
+from .mtl import mtl_paints, picture_map
 from .obj import parse_obj
+from .paint import Paint
+from .texture import srgb_to_linear
 from .usd import read_usd
 
 
@@ -39,6 +43,10 @@ class Raw(NamedTuple):
     """Further sets of texture coordinates by their number from 1 on, each as `uv`, which is set 0."""
     notes: tuple[str, ...] = ()
     """What the file holds that is not here, in sentences."""
+    paints: Callable[[], tuple[Paint, ...]] | None = None
+    """The materials of the whole file, read when they are asked for; the last is that of faces without any."""
+    tint: np.ndarray | None = None
+    """What the materials are multiplied by at every vertex, linear [V, 3]; None for 1."""
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -49,7 +57,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     - The pieces of a .glb or .gltf follow each other in the order of its meshes and then of its nodes,
       each in place in the world.
     - Colours: whole numbers in a .ply are sRGB and become linear; floating point (.ply, .obj) is taken as
-      linear; .glb is linear by its standard. Textures and materials are not read.
+      linear; .glb is linear by its standard. Textures and materials are read by `read_surface`.
     - Texture coordinates (`vt` of an .obj, `s t`, `u v`, `texture_u texture_v` or `s1 t1` of the vertices of a .ply,
       TEXCOORD_0 of a .glb) give the tangents, unless the file holds tangents (TANGENT of a .glb).
     - An .obj does not say how much it holds: one that was cut at the end of a line cannot be told from a whole one.
@@ -61,6 +69,11 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, without faces, requires
     an extension that is not known, or is faulty as `make_mesh` says.
     """
+    return read_raw(path)[0]
+
+
+def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
+    """The mesh of a file as `read_mesh` has it, and all that was read beside it."""
     source = Path(path)
     reader = READERS.get(source.suffix.lower())
     if reader is None:
@@ -86,7 +99,17 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
             f"({_reason(fault)}): export the mesh again"
         ) from fault
     mesh = make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
-    return replace(mesh, report=replace(mesh.report, notes=raw.notes))
+    return replace(mesh, report=replace(mesh.report, notes=raw.notes)), raw
+
+
+def read_paints(raw: Raw, source: str | os.PathLike[str]) -> tuple[Paint, ...]:
+    """The materials of what was read from `source`. Raises InputError, naming it, if they are damaged."""
+    try:
+        return raw.paints() if raw.paints is not None else ()
+    except InputError:
+        raise
+    except Exception as fault:  # What they hold may be of any type.
+        raise InputError(f"{source} has damaged materials ({_reason(fault)}): export the mesh again") from fault
 
 
 @contextlib.contextmanager
@@ -101,11 +124,6 @@ def _strictly() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-def srgb_to_linear(values: np.ndarray) -> np.ndarray:
-    """Linear values of sRGB ones in [0, 1]. Source: IEC 61966-2-1."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def _reason(fault: Exception) -> str:
@@ -153,12 +171,18 @@ def _join(pieces: list[Raw]) -> Raw:
         None if all(piece.materials is None for piece in pieces) else _materials(pieces),
         {number: _more_uv(pieces, number) for number in sorted({each for piece in pieces for each in piece.more_uv})},
         tuple(note for piece in pieces for note in piece.notes),
+        pieces[0].paints,
+        None if all(piece.tint is None for piece in pieces) else _tint(pieces),
     )
 
 
 def _materials(pieces: list[Raw]) -> np.ndarray:
     none = [np.full(len(piece.faces), -1) if piece.materials is None else piece.materials for piece in pieces]
     return np.concatenate(none)
+
+
+def _tint(pieces: list[Raw]) -> np.ndarray:
+    return np.concatenate([np.ones_like(p.positions) if p.tint is None else p.tint for p in pieces])
 
 
 def _more_uv(pieces: list[Raw], number: int) -> np.ndarray:
@@ -185,7 +209,21 @@ def _read_ply(data: bytes, source: Path) -> list[Raw]:
             "export the mesh again"
         )
     vertex = elements["vertex"]
-    return [Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))]
+    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))
+    return [_ply_materials(raw, data, source)]
+
+
+def _ply_materials(raw: Raw, data: bytes, source: Path) -> Raw:
+    """With the picture that a comment names, as scanners write it, or with the colours of the vertices."""
+    head = data.partition(b"end_header")[0].decode("utf-8", errors="replace").splitlines()
+    named = [line.split(None, 2)[2].strip() for line in head if line.lower().startswith("comment texturefile ")]
+    if not named:
+        return raw._replace(tint=raw.colours)
+    left = ["further pictures"] if len(named) > 1 else []
+    # Scanners write the same colours twice, in a picture and coarser at the vertices.
+    left += ["vertex colours"] if raw.colours is not None else []
+    paint = Paint(named[0], colour_map=picture_map(source.parent / named[0]), reflectance=(0, 0, 0), left=tuple(left))
+    return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, Paint("no material")))
 
 
 def _refuse_short_ply(data: bytes, source: Path) -> None:
@@ -224,7 +262,13 @@ def _ply_uv(vertex: dict[str, Any], faces: np.ndarray) -> np.ndarray | None:
 
 
 def _read_obj(data: bytes, source: Path) -> list[Raw]:
-    return [Raw(*parse_obj(data, source))]
+    parsed = parse_obj(data, source)
+
+    def paints() -> tuple[Paint, ...]:
+        return (*mtl_paints(source, parsed.libraries, parsed.names), Paint("no material"))
+
+    raw = Raw(*parsed[:5], materials=parsed.materials, tint=parsed.colours)
+    return [raw if parsed.materials is None else raw._replace(paints=paints)]
 
 
 def _read_stl(data: bytes, source: Path) -> list[Raw]:
@@ -261,8 +305,9 @@ def _read_off(data: bytes, source: Path) -> list[Raw]:
 
 
 def _read_gltf(data: bytes, source: Path) -> list[Raw]:
-    found = gltf_pieces(Document(data, source))
-    result = [_raw(piece) for piece in found.pieces]
+    document = Document(data, source)
+    found = gltf_pieces(document)
+    result = [_raw(piece)._replace(paints=lambda: gltf_paints(document)) for piece in found.pieces]
     if result:
         result[0] = result[0]._replace(notes=tuple(found.notes))
     elif found.notes:
@@ -284,12 +329,13 @@ def _raw(piece: Piece) -> Raw:
         piece.tangents,
         np.full(len(faces), -1 if piece.material is None else piece.material),
         corners,
+        tint=None if piece.colours is None else piece.colours[:, :3],
     )
 
 
 def _read_usd(data: bytes, source: Path) -> list[Raw]:
     meshes, notes = read_usd(source)
-    result = [Raw(mesh.positions, mesh.faces, mesh.normals, mesh.colours, mesh.uv) for mesh in meshes]
+    result = [Raw(*mesh, tint=mesh.colours) for mesh in meshes]
     return [result[0]._replace(notes=tuple(notes)), *result[1:]] if result else []
 
 
