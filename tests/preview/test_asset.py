@@ -1,6 +1,7 @@
 """Does a glTF file keep what it had, and does every number reach the vertex that it was computed for?"""
 
 import dataclasses
+import io
 import json
 
 import numpy as np
