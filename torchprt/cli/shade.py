@@ -113,7 +113,7 @@ def shade(
         preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, studio.exposure, tone), output)
     elif ends == ".glb":
         linear = preview.linear_colours(radiance, studio.exposure, tone)
-        preview.save_glb(loaded.positions, loaded.normals, loaded.faces, output, colour=linear)
+        say(f"{output}: {preview.save_lit_glb(loaded, linear, output, near=transfer.parent)}")
     else:
         radiance = loaded.receivers.in_mesh_order(radiance)
         with atomic(output) as temporary, temporary.open("wb") as stream:

@@ -1,5 +1,8 @@
 """Pictures of what was baked: stills without a display, models with vertex colours."""
 
+from .asset_file import AssetWarning
+from .asset_light import keep_light, save_lit_glb
+from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
 from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
@@ -18,6 +21,8 @@ from .turntable import Background, Studio, save_gif, strip
 from .window import check_window, show
 
 __all__ = [
+    "Asset",
+    "AssetWarning",
     "Background",
     "Camera",
     "Environment",
@@ -32,12 +37,15 @@ __all__ = [
     "check_window",
     "colours",
     "error_colours",
+    "find_asset",
     "frame",
+    "keep_light",
     "linear_colours",
     "lobe",
     "photograph",
     "save_gif",
     "save_glb",
+    "save_lit_glb",
     "save_ply",
     "save_png",
     "save_transfer_glb",
