@@ -76,7 +76,9 @@ def room() -> Gltf:
     paint = made.accessor(np.full((4, 4), 128, "u1"), normalized=True)
     second = made.primitive(made.accessor(halves), POSITION=wall, NORMAL=forth, TEXCOORD_0=uv, COLOR_0=paint)
     times, moves = made.accessor(np.float32([0, 1])), made.accessor(np.float32([[0, 0, 0], [0, 1, 0]]))
-    images = [{"bufferView": made.view(picture(seed)), "mimeType": "image/png", "name": f"p{seed}"} for seed in range(3)]
+    images = [
+        {"bufferView": made.view(picture(seed)), "mimeType": "image/png", "name": f"p{seed}"} for seed in range(3)
+    ]
     made.tree |= {
         "scene": 0,
         "scenes": [{"nodes": [0, 3], "name": "all"}],

@@ -91,7 +91,7 @@ def _paint(document: Document, entry: Mapping[str, Any], name: str) -> Paint:
 
 def _left(entry: Mapping[str, Any], more: Mapping[str, Any]) -> list[str]:
     left = [word for key, word in (("normalTexture", "normal map"), ("occlusionTexture", "occlusion")) if key in entry]
-    if "emissiveTexture" in entry and any(entry.get("emissiveFactor", ())) or any(entry.get("emissiveFactor", ())):
+    if ("emissiveTexture" in entry and any(entry.get("emissiveFactor", ()))) or any(entry.get("emissiveFactor", ())):
         left.append("emission")
     known = {name: WORDS.get(name, name) for name in more if name not in (*TAKEN, GLOSSINESS)}
     left += known.values()

@@ -148,7 +148,9 @@ def _map(source: Path, words: list[str]) -> Map | None:
     return picture_map(_beside(source, name), scale, offset, "clamp" if clamp else "repeat") if name else None
 
 
-def picture_map(path: Path, scale: Sequence[float] = (1, 1), offset: Sequence[float] = (0, 0), wrap: str = "repeat") -> Map:
+def picture_map(
+    path: Path, scale: Sequence[float] = (1, 1), offset: Sequence[float] = (0, 0), wrap: str = "repeat"
+) -> Map:
     """The map of a picture file whose rows run up with v."""
     # v of the lower edge is 0 there and 1 where pictures are looked up.
     matrix = np.array([[scale[0], 0, offset[0]], [0, -scale[1], 1 - offset[1]]], np.float64)
