@@ -1,5 +1,6 @@
 """Pictures of what was baked: stills without a display, models with vertex colours."""
 
+from .asset_file import AssetWarning
 from .asset_light import keep_light, save_lit_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
@@ -19,6 +20,7 @@ from .window import check_window, show
 
 __all__ = [
     "Asset",
+    "AssetWarning",
     "Camera",
     "Environment",
     "Lobe",

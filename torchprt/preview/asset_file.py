@@ -6,6 +6,7 @@ import copy
 import json
 import os
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.scene.gltf import DRACO, MESHOPT, Document, decode_draco
+from torchprt.scene.gltf import DRACO, MESHOPT, Document, as_declared, decode_draco
 from torchprt.version import VERSION
 
 LARGEST = 2**32 - 1
@@ -22,19 +23,22 @@ COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 
 SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
+class AssetWarning(UserWarning):
+    """Something of an asset cannot be kept."""
+
+
 class AssetFile:
     """The `tree` of a document, free to change, over one binary chunk that holds all its buffers.
 
     Numbers of buffer views, accessors, images and all else stay what they were; new ones follow. Buffer views of
     meshopt and primitives of Draco are written uncompressed, and pictures that stood beside the file or in its text
-    are in the chunk; one that is `missing` beside the file stays a name.
+    are in the chunk; one that is not there stays a name, which a warning (`AssetWarning`) says.
     Raises InputError as `Document` does where the file is damaged.
     """
 
     def __init__(self, document: Document) -> None:
         self.document = document
         self.tree: dict[str, Any] = copy.deepcopy(document.tree)
-        self.missing: list[str] = []
         self._parts: list[bytes] = []
         self._size = 0
         self._packed: dict[tuple[int, str], int] = {}
@@ -124,8 +128,8 @@ class AssetFile:
         if of not in self._packed:
             entry = self.tree["accessors"][number]
             index = not of[1]
-            kind = np.dtype(values.dtype if index else {v: k for k, v in COMPONENTS.items()}[entry["componentType"]])
-            made = self._described(values.astype(kind.newbyteorder("<")), index, "min" in entry and not index)
+            rows = values if index else as_declared(values, entry)
+            made = self._described(rows, index, "min" in entry and not index)
             if "bufferView" in entry:
                 number = self.add("accessors", {**entry, **made})
             else:
@@ -139,8 +143,8 @@ class AssetFile:
                 continue
             try:
                 content, kind = self.document.image(number)
-            except InputError:
-                self.missing.append(image["uri"])
+            except InputError as fault:
+                warnings.warn(f"{fault}; the picture is left out", AssetWarning, stacklevel=2)
                 continue
             del image["uri"]
             view: dict[str, Any] = {}

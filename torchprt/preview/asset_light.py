@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.preview.asset import UNLIT, Drawn, Primitive, add_others, keep, numbers
+from torchprt.preview.asset import UNLIT, Primitive, add_others, keep, numbers
 from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, find_asset
 from torchprt.preview.glb import save_glb
-from torchprt.scene.gltf import Document, Piece
+from torchprt.scene.gltf import Piece
+from torchprt.scene.surface import read_surface
 from torchprt.transfer import Transfer
 
 LEAST = 0.02
-"""Where a material has less of a colour than this, light on it is divided by this much, and shows too dark."""
+"""Where a texture has less of a colour than this, light on it is divided by this much, and shows too dark."""
 VARIANTS = "KHR_materials_variants"
+GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 
 
 def save_lit_glb(
@@ -43,75 +44,92 @@ def save_lit_glb(
     file, over = keep_light(asset, transfer, colours)
     file.save(path)
     if over > 1:
-        why += f"; COLOR_0 reaches {over:.3g} where materials are dark, and viewers that stop at 1 show less there"
+        why += f"; COLOR_0 reaches {over:.3g} where textures are dark, and viewers that stop at 1 show less there"
     return why
 
 
 def keep_light(asset: Asset, transfer: Transfer, colours: Float[Tensor, "V 3"]) -> tuple[AssetFile, float]:
-    """The asset under a light: `colours`, linear RGB of all receivers, are what any viewer shows of it.
+    """The asset under a light: any viewer shows `colours`, linear RGB of all receivers. Also its brightest COLOR_0.
 
-    Also the largest number in COLOR_0.
-    Its materials become unlit (KHR_materials_unlit), which shows texture x factor x COLOR_0, so COLOR_0 is the colour
-    over that of the material there, but never over less than LEAST. The reverse side of a surface that recorded on
-    both is a primitive of its own, which faces the other way. What else was recorded follows as plain meshes.
+    Its materials become unlit (KHR_materials_unlit) and white but for their textures, so a viewer shows texture x
+    COLOR_0, and COLOR_0 is the colour over that of the texture around the vertex (but never over less than LEAST):
+    the mean of what is shown there is the colour. The reverse side of a surface that recorded on both is a primitive
+    of its own, which faces the other way. What else was recorded follows as plain meshes.
+
+    COLOR_0 is above 1 where a colour is brighter than the texture, which the standard does not allow and three.js and
+    Blender show.
     """
     ordered = transfer.receivers.in_mesh_order(colours)
-    largest = [0.0]
-    file = keep(asset, _with_colours(ordered, lambda piece: base_colour(asset.document, piece), largest))
+    drawn = _Lit(numbers(ordered), texture_means(asset), asset.front.start)
+    file = keep(asset, drawn)
     add_others(file, asset, transfer, {"COLOR_0": ordered}, {})
-    return file, max(largest)
+    return file, drawn.brightest
 
 
-def _with_colours(
-    colours: Float[Tensor, "V 3"], base: Callable[[Piece], Float[np.ndarray, "v 3"]], largest: list[float]
-) -> Drawn:
-    """Unlit primitives with `colours`, over those that `base` says of the material alone, in COLOR_0.
+def texture_means(asset: Asset) -> Float[np.ndarray, "V 3"]:
+    """What the base colour texture is around each vertex of the asset, linear; 1 where there is none."""
+    surface = read_surface(asset.document.source)
+    # Factors and vertex colours left out: the file that is written has neither.
+    plain = tuple(replace(paint, colour=None) for paint in surface.paints)
+    return replace(surface, paints=plain, raw=surface.raw._replace(tint=None)).look(gloss=False).diffuse
 
-    The largest number of each goes into `largest`.
+
+class _Lit:
+    """Makes primitives unlit, with `colours` over `base`, what their textures are around their vertices, in COLOR_0.
+
+    `start` is the first row of the asset among `colours`; the first of `base` is its own.
     """
-    shown = numbers(colours)
-    unlit: dict[tuple[int | None, bool], int] = {}
 
-    def drawn(file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: slice | None) -> list[Primitive]:
-        divisor = np.maximum(base(piece), LEAST)
+    def __init__(self, colours: Float[np.ndarray, "V 3"], base: Float[np.ndarray, "v 3"], start: int) -> None:
+        self.colours = colours
+        self.base = np.maximum(base, LEAST)
+        self.start = start
+        self.brightest = 0.0
+        self._unlit: dict[tuple[int | None, bool], int] = {}
+
+    def __call__(
+        self, file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: slice | None
+    ) -> list[Primitive]:
         file.extend(UNLIT)
-        key = (entry.get("material"), back is not None)
-        if key not in unlit:
-            unlit[key] = file.add("materials", _unlit(file, *key))
-        entry["material"] = unlit[key]
+        entry["material"] = self._material(file, entry.get("material"), back is not None)
         # A viewer that offers variants would put lit materials back.
         entry.get("extensions", {}).pop(VARIANTS, None)
-        result = [entry]
+        sides = [(entry, front)]
         if back is not None:
-            faces = piece.faces if piece.mirrored else piece.faces[:, ::-1]
-            indices = file.accessor(faces.reshape(-1, 1).astype("<u4"), indices=True)
-            result.append({**copy.deepcopy(entry), "indices": indices, "mode": 4})
-            # Of no use without light, and of the other side.
-            for names in (result[1]["attributes"], *result[1].get("targets", ())):
-                names.pop("NORMAL", None)
-                names.pop("TANGENT", None)
-        for each, rows in zip(result, (front, back), strict=False):
-            assert rows is not None
-            values = [(shown[rows] / divisor).astype("<f4")]
-            largest.append(float(values[0].max(initial=0)))
+            sides.append((_reverse(file, piece, entry), back))
+        for each, rows in sides:
+            values = (self.colours[rows] / self.base[front.start - self.start : front.stop - self.start]).astype("<f4")
+            self.brightest = max(self.brightest, float(values.max(initial=0)))
             if piece.colours is not None and piece.colours.shape[1] == 4:
-                values.append(piece.colours[:, 3:].astype("<f4"))
-            each["attributes"]["COLOR_0"] = file.accessor(np.concatenate(values, axis=1))
-        return result
+                values = np.concatenate([values, piece.colours[:, 3:].astype("<f4")], axis=1)
+            each["attributes"]["COLOR_0"] = file.accessor(values)
+        return [each for each, _ in sides]
 
-    return drawn
+    def _material(self, file: AssetFile, number: int | None, single: bool) -> int:
+        """A copy of a material that shows its texture as it is, from the front alone if it is `single`."""
+        if (number, single) not in self._unlit:
+            material = {} if number is None else copy.deepcopy(file.tree["materials"][number])
+            extensions = material.get("extensions", {})
+            core = material.get("pbrMetallicRoughness", {})
+            old = extensions.pop(GLOSSINESS, None)
+            if old is not None:
+                core = {"baseColorFactor": old.get("diffuseFactor", [1, 1, 1, 1])}
+                core |= {"baseColorTexture": old["diffuseTexture"]} if "diffuseTexture" in old else {}
+            core["baseColorFactor"] = [1, 1, 1, core.get("baseColorFactor", [1, 1, 1, 1])[3]]
+            material |= {"pbrMetallicRoughness": core, "extensions": {**extensions, UNLIT: {}}}
+            if single:
+                material["doubleSided"] = False
+            self._unlit[number, single] = file.add("materials", material)
+        return self._unlit[number, single]
 
 
-def _unlit(file: AssetFile, number: int | None, single: bool) -> dict[str, Any]:
-    """A copy of a material that is shown as it is, to be seen from the front alone if it is `single`."""
-    material = {} if number is None else copy.deepcopy(file.tree["materials"][number])
-    material["extensions"] = {**material.get("extensions", {}), UNLIT: {}}
-    if single:
-        material["doubleSided"] = False
-    return material
-
-
-def base_colour(document: Document, piece: Piece) -> Float[np.ndarray, "v 3"]:
-    material = {} if piece.material is None else document.entry("materials", piece.material)
-    factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1, 1, 1, 1))
-    return np.tile(np.asarray(factor[:3], np.float64), (len(piece.positions), 1))
+def _reverse(file: AssetFile, piece: Piece, entry: Primitive) -> Primitive:
+    """The same, seen from the other side."""
+    faces = piece.faces if piece.mirrored else piece.faces[:, ::-1]
+    indices = file.accessor(faces.reshape(-1, 1).astype("<u4"), indices=True)
+    result = {**copy.deepcopy(entry), "indices": indices, "mode": 4}
+    # Of no use without light, and of the first side.
+    for names in (result["attributes"], *result.get("targets", ())):
+        names.pop("NORMAL", None)
+        names.pop("TANGENT", None)
+    return result

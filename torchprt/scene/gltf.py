@@ -1,7 +1,7 @@
 """glTF 2.0: `Document` reads the container, `pieces` what its scene draws."""
 
 from .gltf_decode import DRACO, MESHOPT, decode_draco
-from .gltf_document import Document
+from .gltf_document import Document, as_declared
 from .gltf_geometry import Piece, Pieces, Primitive, pieces, read_primitive
 from .gltf_nodes import INSTANCING, Nodes
 
@@ -14,6 +14,7 @@ __all__ = [
     "Piece",
     "Pieces",
     "Primitive",
+    "as_declared",
     "decode_draco",
     "pieces",
     "read_primitive",

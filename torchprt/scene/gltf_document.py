@@ -215,6 +215,15 @@ def normalised(values: np.ndarray, accessor: Mapping[str, Any]) -> np.ndarray:
     return np.maximum(values / np.float64(largest), -1.0)
 
 
+def as_declared(values: np.ndarray, accessor: Mapping[str, Any]) -> np.ndarray:
+    """Decoded values in the type that `accessor` says they have: Draco may hold whole numbers as others."""
+    kind = np.dtype(COMPONENTS[accessor["componentType"]])
+    if np.issubdtype(kind, np.integer) and np.issubdtype(values.dtype, np.floating):
+        limits = np.iinfo(kind)
+        values = np.rint(values).clip(limits.min, limits.max)
+    return values.astype(kind)
+
+
 def mime_type(content: bytes) -> str:
     """What kind of picture begins like this; empty if none that glTF may hold."""
     starts = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\xabKTX 20": "image/ktx2"}

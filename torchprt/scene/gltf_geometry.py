@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64, Int64
 from torchprt.errors import InputError
 
 from .gltf_decode import DRACO, Decoded, decode_draco
-from .gltf_document import Document, normalised
+from .gltf_document import Document, as_declared, normalised
 from .gltf_nodes import Matrix, Nodes
 
 POINTS, LINES, LINE_LOOP, LINE_STRIP, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = range(7)
@@ -114,7 +114,8 @@ def read_primitive(document: Document, entry: dict[str, Any]) -> Primitive:
     for name, number in entry["attributes"].items():
         if decoded is not None and packed is not None and name in packed["attributes"]:
             values = decoded.attributes[packed["attributes"][name]]
-            attributes[name] = normalised(values, document.entry("accessors", number))
+            accessor = document.entry("accessors", number)
+            attributes[name] = normalised(as_declared(values, accessor), accessor)
         else:
             attributes[name] = document.accessor(number)
     count = len(attributes["POSITION"])

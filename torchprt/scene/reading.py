@@ -23,6 +23,7 @@ from .mtl import mtl_paints, picture_map
 from .obj import parse_obj
 from .paint import Paint
 from .texture import srgb_to_linear
+from .usd import read_usd
 
 
 class Raw(NamedTuple):
@@ -49,7 +50,7 @@ class Raw(NamedTuple):
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a .ply, .obj, .glb, .gltf, .stl or .off file, with a report of what was found.
+    """The mesh in a .ply, .obj, .glb, .gltf, .stl, .off or .usd file, with a report of what was found.
 
     - The order of vertices is the file's own; nothing is dropped or merged. Polygons become triangles.
       An .obj vertex that faces use with several normals is repeated beside itself, once for each of them.
@@ -63,6 +64,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
 
     - Of a .glb or .gltf, what its default scene draws: skins and morph targets at rest, instances, Draco and meshopt
       decompressed. Points and lines are left out, and the report says so.
+    - Of a .usd, .usda, .usdc or .usdz what `read_usd` says, if torchprt[usd] is installed.
 
     Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, without faces, requires
     an extension that is not known, or is faulty as `make_mesh` says.
@@ -331,6 +333,12 @@ def _raw(piece: Piece) -> Raw:
     )
 
 
+def _read_usd(data: bytes, source: Path) -> list[Raw]:
+    meshes, notes = read_usd(source)
+    result = [Raw(*mesh, tint=mesh.colours) for mesh in meshes]
+    return [result[0]._replace(notes=tuple(notes)), *result[1:]] if result else []
+
+
 READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
     ".ply": _read_ply,
     ".obj": _read_obj,
@@ -338,4 +346,8 @@ READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
     ".gltf": _read_gltf,
     ".stl": _read_stl,
     ".off": _read_off,
+    ".usd": _read_usd,
+    ".usda": _read_usd,
+    ".usdc": _read_usd,
+    ".usdz": _read_usd,
 }
