@@ -147,7 +147,7 @@ def test_exposure_is_in_stops(session):
 
 
 def test_interreflection_is_the_other_file(session, bounced, shadowed):
-    assert session.next_bake() == "bake: bounced, interreflected, 1 bounces"
+    assert session.next_bake() == "bake: bounced, interreflected, 1 bounce"
     close(session.colours(), shown(session, bounced, environments()[0].light))
     session.next_bake()
     close(session.colours(), shown(session, shadowed, environments()[0].light))

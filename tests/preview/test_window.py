@@ -158,7 +158,7 @@ def test_keys_change_light_order_window_and_bounces(window):
         ("Right", "environment: right.exr", ["Left"]),
         ("minus", "order: 3", ["equal"]),
         ("w", "window: hann", ["w", "w", "w", "w"]),
-        ("i", "bake: bounced, interreflected, 1 bounces", ["i"]),
+        ("i", "bake: bounced, interreflected, 1 bounce", ["i"]),
         ("Up", None, ["Down"]),
     ):
         said = window.press(key)

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
+from torchprt.cli.environments import WORDS, light_of
 from torchprt.cli.export_page import export_page
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+from torchprt.words import count
 
 if TYPE_CHECKING:
     from torchprt.transfer import Transfer
@@ -34,7 +36,7 @@ def export(
         str | None, typer.Option(help="Gloss: X,Y,Z of an eye that never moves: a much smaller graph.")
     ] = None,
     fix_light: Annotated[
-        Path | None, typer.Option(help="Gloss: an .npy or image of the light that never changes.")
+        str | None, typer.Option(help=f"Gloss: an .npy or image of the light that never changes, or {WORDS}.")
     ] = None,
     pose: Annotated[
         str | None, typer.Option(help="Zonal lobes: the pose is frames or positions.", show_default="frames")
@@ -42,7 +44,10 @@ def export(
     material: options.OpenGloss = None,
     web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
     light: Annotated[
-        list[Path] | None, typer.Option(help="Page: images or .npy to choose from (repeatable).", show_default="four")
+        list[str] | None,
+        typer.Option(
+            help=f"Page: images or .npy to choose from, or {WORDS} (repeatable).", show_default="all of these"
+        ),
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
     title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
@@ -53,6 +58,7 @@ def export(
         Path | None,
         typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
     ] = None,
+    with_ground: bake_options.WithGround = False,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -78,14 +84,18 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if with_ground and not web and ends == ".onnx":
+        raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
+    if ends != ".onnx" and not with_ground:
+        loaded = loaded.without_ground()
     chosen = options.gloss_of(loaded, material)
     if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)
+        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen, with_ground)
     if ends == ".glb":
         return _export_mesh(loaded, output, order, asset, transfer.parent)
-    lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
+    lamps = None if fix_light is None else light_of(fix_light, loaded.order)
     texels = 32 if size is None else size
     report = prt.onnx.export(
         loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
@@ -103,7 +113,7 @@ def _export_mesh(transfer: Transfer, path: Path, order: int | None, given: Path 
     asset, why = find_asset(transfer, given, near)
     save_transfer_glb(transfer, path, bands, asset=asset)
     albedo = "COLOR_0" if asset is None else "_PRT_ALBEDO"
-    say(f"{path}: {transfer.vertices} vertices, albedo in {albedo}, transfer of order {bands} in _PRT_n; {why}")
+    say(f"{path}: {count(transfer.vertices, 'vertex')}, albedo in {albedo}, transfer of order {bands} in _PRT_n; {why}")
 
 
 def _refuse(given: Mapping[str, Any], written: str) -> None:

@@ -7,45 +7,40 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchprt.cli import options
+from torchprt.cli.environments import environment_of
 from torchprt.cli.report import say
 
 if TYPE_CHECKING:
     from torchprt.brdf import Brdf
-    from torchprt.preview import Environment
     from torchprt.transfer import Transfer
 
 
 def export_page(
     transfer: Transfer,
     folder: Path,
-    lights: Sequence[Path] | None,
+    lights: Sequence[str] | None,
     compressed: Path | None,
     title: str,
     gloss: Brdf | None,
+    with_ground: bool = False,
 ) -> None:
-    """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open."""
+    """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open.
+
+    `compressed` is shown without its ground, as `transfer` is, unless it is to be `with_ground`.
+    """
     from torchprt import web
     from torchprt.shade import with_material
     from torchprt.transfer import load
 
     start = time.perf_counter()
     packed = None if compressed is None else load(compressed)
+    if packed is not None and not with_ground:
+        packed = packed.without_ground()
     if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
-    environments = None if lights is None else [_environment(path, transfer.order) for path in lights]
+    environments = None if lights is None else [environment_of(each, transfer.order, repair=False) for each in lights]
     report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)
     say(f"{report}, written in {time.perf_counter() - start:.1f} s")
     if report.parity is not None:
         say(report.parity)
     say(f"look at it with: torchprt serve {folder}")
-
-
-def _environment(path: Path, order: int) -> Environment:
-    from torchprt import light
-    from torchprt.preview.environment import Environment
-
-    if path.suffix.lower() == ".npy":
-        return Environment(path.stem, light.read_coefficients(path, order))
-    image = options.environment(path, repair=False)
-    return Environment(path.stem, light.project(image, order), image)

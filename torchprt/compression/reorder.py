@@ -59,6 +59,7 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
             normals=vertices.normals[points],
             faces=place[vertices.faces.long()][triangles].to(vertices.faces.dtype),
             original=points,
+            sight=None if vertices.sight is None else vertices.sight[points],
         ),
         layers={name: moved(layer) for name, layer in transfer.layers.items()},
     )

@@ -5,9 +5,10 @@ from .asset_light import keep_light, save_lit_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
-from .environment import Environment, automatic_exposure, photograph, seen_along
+from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
 from .error_colours import error_colours
 from .glb import save_glb
+from .ground import subject
 from .lobe import Lobe, lobe
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
@@ -15,12 +16,13 @@ from .picture import Still, save_png
 from .relight import Relight
 from .session import Session
 from .sheet import sheet
-from .turntable import Studio, save_gif, strip
+from .turntable import Background, Studio, save_gif, strip
 from .window import check_window, show
 
 __all__ = [
     "Asset",
     "AssetWarning",
+    "Background",
     "Camera",
     "Environment",
     "Lobe",
@@ -30,6 +32,7 @@ __all__ = [
     "Still",
     "Studio",
     "automatic_exposure",
+    "built_in_environment",
     "check_window",
     "colours",
     "error_colours",
@@ -49,5 +52,7 @@ __all__ = [
     "sheet",
     "show",
     "strip",
+    "subject",
     "tone_map",
+    "windowed",
 ]

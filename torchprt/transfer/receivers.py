@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import enum
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -51,6 +52,21 @@ class Receivers(Part, abc.ABC):
         )
 
 
+class Sight(enum.IntEnum):
+    """How a receiver came to its transfer: what lightmap bakers call validity."""
+
+    VALID = 0
+    """By its own rays, as any."""
+    TURNED = 1
+    """By its own rays about another normal: its faces cancel or oppose each other, and it looks along others."""
+    MOVED = 2
+    """By its own rays from another origin, in front of all of its faces: its own surface covered it."""
+    FILLED = 3
+    """From its neighbours along the surface: it lies under its own surface or in a solid, and its rays say nothing."""
+    BLIND = 4
+    """Not at all: as those that are filled, but no neighbour sees either."""
+
+
 @dataclass(kw_only=True)
 class Vertices(Receivers):
     """Vertices of meshes one after the other, or loose points, in the world frame.
@@ -59,6 +75,7 @@ class Vertices(Receivers):
       objects record twice: the receivers of all first sides come first, then the reverse sides.
     - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
       None.
+    - `sight [V]`: how each came to its transfer, a number of `Sight`, uint8; None if all are valid or nobody looked.
     - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
       "ground"), `side` ("front" or "back") and its `rows`, [first, one past the last], in the order of the mesh. Empty
       if nothing is known of it.
@@ -70,13 +87,18 @@ class Vertices(Receivers):
         "normals": Layout(("V", "3"), REAL),
         "faces": Layout(("F", "3"), WHOLE),
         "original": Layout(("V",), WHOLE, optional=True),
+        "sight": Layout(("V",), (torch.uint8,), optional=True),
     }
 
     positions: Tensor
     normals: Tensor
     faces: Tensor
     original: Tensor | None = None
+    sight: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
+
+    def metadata(self) -> dict[str, Any]:
+        return {"objects": list(self.objects)} if self.objects else {}
 
     def ground(self) -> Bool[Tensor, "V"]:
         found = super().ground()
@@ -119,6 +141,8 @@ class Vertices(Receivers):
                 raise InputError(f"objects of the transfer hold {each}, which names no rows: bake it again")
             if each["rows"][1] > self.count:
                 raise InputError(f"objects of the transfer name receiver {each['rows'][1]} of {self.count}: bake again")
+        if self.sight is not None and bool((self.sight > max(Sight)).any()):
+            raise InputError(f"sight of the transfer has numbers above {max(Sight):d}: a newer torchprt wrote it")
         order = self.original
         if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
             raise InputError("original of the transfer does not name every vertex once: compress it again")

@@ -143,6 +143,13 @@ class Transfer:
         """The same with all signals stored as `dtype` (float16 and bfloat16 halve the bytes)."""
         return self.with_layers(**{name: layer.to(dtype) for name, layer in self.layers.items()})
 
+    def with_ground(self) -> Transfer:
+        """The same with its ground as one model among others: to be framed, shown whole and written."""
+        if not isinstance(self.receivers, Vertices):
+            return self
+        objects = [{**each, "role": "receiver"} for each in self.receivers.objects]
+        return dataclasses.replace(self, receivers=self.receivers.replace(objects=objects))
+
     def without_ground(self) -> Transfer:
         """The same without what was recorded on a ground, and without layers that are of nothing else."""
         keep = ~self.receivers.ground()

@@ -30,6 +30,7 @@ from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.progress import Bar
 from torchprt.transport.receivers import Receivers
+from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import Solution, exit_radiance, solve, surfaces, trace, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import CHUNK, Runner, chunks
@@ -56,6 +57,7 @@ def bake(
     projection: Projection = "optimal",
     factors: int | float | None = None,
     visibility_order: int | None = None,
+    raw: bool = False,
 ) -> Transfer:
     """Transfer of a scene: a layer of what is diffuse in it, and one of what is glossy.
 
@@ -70,6 +72,9 @@ def bake(
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
+
+    - `raw`: leave receivers that cannot see as they are, black; otherwise see `with_sight`: they are turned, moved, or
+      filled from their neighbours along the surface, and `Vertices.sight` of the result says which.
 
     For glossy materials:
     - `frame`: "exit" (the BRDF baked in: layer `Exit`), "incident" (the BRDF chosen at run time:
@@ -120,8 +125,10 @@ def bake(
         return result.diffuse(geometry, receivers, vectors[None], transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = scene.requires(bounces).channels
-    where = vertex_receivers(geometry, tracer)
-    job = Job(tracer, surfaces(geometry), where, order, rays, seed, channels, membranes, enough)
+    everything, validity = vertex_receivers(geometry, tracer), None
+    if not raw:
+        geometry, everything, validity = with_sight(geometry, tracer, everything)
+    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -165,6 +172,7 @@ def _diffuse(
         geometry,
         receivers,
         solution.transfer,
+        job.validity,
         transport="interreflected" if solution.bounces else "shadowed",
         bounces=solution.bounces,
         rays=job.rays,
@@ -201,7 +209,7 @@ def _check(
 def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, stages: Stages) -> tuple[Job, Solution]:
     """Transfer at points: all bounces but the last run over the vertices, the last gathers to the points."""
     origins = job.tracer.origins(points.positions, points.normals)
-    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins))
+    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins), validity=None)
     if not bounces:
         transfer = trace(here, stages, keep_hits=False)[None]
         return here, Solution(transfer, transfer)
@@ -230,7 +238,7 @@ def _store(
         yield None
         return
     contents = [geometry.positions, geometry.faces, geometry.receiver_positions, geometry.receiver_normals]
-    contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex]
+    contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex, job.receivers.origins]
     parameters: dict[str, Any] = {
         "order": job.order,
         "rays": job.rays,

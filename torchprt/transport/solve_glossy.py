@@ -91,6 +91,9 @@ def _trace(task: GlossyJob, recorded: tuple[Recorded, ...], stages: Stages, *, k
         diffuse[chunk.index] = found["transfer"].T
         for number, matrix in enumerate(matrices):
             matrix[glossy.among(chunk.index)] = found[f"matrix{number}"]
+    job.filled(diffuse)
+    for matrix in matrices:
+        task.filled(matrix)
     return [Arrived(diffuse.repeat(1, channels), matrix.repeat(1, 1, channels)) for matrix in matrices]
 
 
@@ -105,4 +108,6 @@ def _bounce(task: GlossyJob, sent: Exitant, recorded: Recorded, stages: Stages, 
     for chunk, found in stages.run(f"bounce {bounce}", tasks, task, sent, stages.store):
         added.diffuse[chunk.index] = found["arriving"]
         added.matrix[task.glossy.among(chunk.index)] = found["matrix"]
+    job.filled(added.diffuse)
+    task.filled(added.matrix)
     return added
