@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchprt.cli import options
+from torchprt.cli.environments import light_of
 from torchprt.cli.report import complain, describe, details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -50,7 +51,7 @@ def compress(
     ] = None,
     importance: Annotated[
         str | None,
-        typer.Option(help="What light to expect: natural, or .npy and images.", show_default="any"),
+        typer.Option(help="What light to expect: natural, or .npy, images and built-in lights.", show_default="any"),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
 ) -> None:
@@ -140,5 +141,5 @@ def expected(text: str, transfer: Transfer, layer: str | None) -> Tensor:
     _, channels, rows, _ = chosen.signal.shape
     if text == "natural":
         return natural_light_importance(transfer.order, channels=channels, rows=rows)
-    lights = [options.light(Path(name), transfer.order, repair=False) for name in text.split(",")]
+    lights = [light_of(name, transfer.order) for name in text.split(",")]
     return light_importance(torch.stack(lights).float(), channels=channels, rows=rows)

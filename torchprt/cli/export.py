@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchprt.cli import options
+from torchprt.cli.environments import WORDS, light_of
 from torchprt.cli.export_page import export_page
 from torchprt.cli.report import say
 from torchprt.errors import InputError
@@ -34,7 +35,7 @@ def export(
         str | None, typer.Option(help="Gloss: X,Y,Z of an eye that never moves: a much smaller graph.")
     ] = None,
     fix_light: Annotated[
-        Path | None, typer.Option(help="Gloss: an .npy or image of the light that never changes.")
+        str | None, typer.Option(help=f"Gloss: an .npy or image of the light that never changes, or {WORDS}.")
     ] = None,
     pose: Annotated[
         str | None, typer.Option(help="Zonal lobes: the pose is frames or positions.", show_default="frames")
@@ -42,7 +43,10 @@ def export(
     material: options.OpenGloss = None,
     web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
     light: Annotated[
-        list[Path] | None, typer.Option(help="Page: images or .npy to choose from (repeatable).", show_default="four")
+        list[str] | None,
+        typer.Option(
+            help=f"Page: images or .npy to choose from, or {WORDS} (repeatable).", show_default="all of these"
+        ),
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
     title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
@@ -80,7 +84,7 @@ def export(
         return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)
     if ends == ".glb":
         return _export_mesh(loaded, output, order)
-    lamps = None if fix_light is None else options.light(fix_light, loaded.order, repair=False)
+    lamps = None if fix_light is None else light_of(fix_light, loaded.order)
     texels = 32 if size is None else size
     report = prt.onnx.export(
         loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken

@@ -7,19 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchprt.cli import options
+from torchprt.cli.environments import environment_of
 from torchprt.cli.report import say
 
 if TYPE_CHECKING:
     from torchprt.brdf import Brdf
-    from torchprt.preview import Environment
     from torchprt.transfer import Transfer
 
 
 def export_page(
     transfer: Transfer,
     folder: Path,
-    lights: Sequence[Path] | None,
+    lights: Sequence[str] | None,
     compressed: Path | None,
     title: str,
     gloss: Brdf | None,
@@ -33,19 +32,9 @@ def export_page(
     packed = None if compressed is None else load(compressed)
     if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
-    environments = None if lights is None else [_environment(path, transfer.order) for path in lights]
+    environments = None if lights is None else [environment_of(each, transfer.order, repair=False) for each in lights]
     report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)
     say(f"{report}, written in {time.perf_counter() - start:.1f} s")
     if report.parity is not None:
         say(report.parity)
     say(f"look at it with: torchprt serve {folder}")
-
-
-def _environment(path: Path, order: int) -> Environment:
-    from torchprt import light
-    from torchprt.preview.environment import Environment
-
-    if path.suffix.lower() == ".npy":
-        return Environment(path.stem, light.read_coefficients(path, order))
-    image = options.environment(path, repair=False)
-    return Environment(path.stem, light.project(image, order), image)

@@ -8,13 +8,15 @@ from typing import Annotated
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli.environments import WORDS, light_of
 from torchprt.cli.report import say, triple
 from torchprt.files import check_writable
 
 
 def light(
-    image: Annotated[Path, typer.Argument(help="Latitude-longitude environment: .exr .hdr .png .jpg .tif")],
+    image: Annotated[
+        str, typer.Argument(help=f"Latitude-longitude environment: .exr .hdr .png .jpg .tif; or {WORDS}.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help=".npy of order^2 x 3 coefficients.")],
     order: Annotated[int, typer.Option(min=1, max=64, help="SH bands.")] = 5,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
@@ -23,6 +25,6 @@ def light(
     from torchprt.light import write_coefficients
 
     check_writable(output, (".npy",))
-    coefficients = options.light(image, order, repair)
+    coefficients = light_of(image, order, repair)
     write_coefficients(coefficients, output)
     say(f"{output}: order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")

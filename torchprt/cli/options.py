@@ -129,6 +129,14 @@ def size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def turn(text: str, option: str) -> list[float]:
+    """Yaw, pitch and roll in degrees; what is left out is 0."""
+    found = numbers(text, None, option)
+    if len(found) > 3:
+        raise InputError(f"{option} is '{text}': give a yaw, or yaw, pitch and roll, with commas between them")
+    return found + [0.0] * (3 - len(found))
+
+
 def direction(text: str, option: str) -> tuple[float, float, float]:
     x, y, z = numbers(text, 3, option)
     if not (x or y or z):
@@ -147,15 +155,6 @@ def eye(point: str | None, toward: str | None) -> dict[str, Tensor]:
     if toward is not None:
         return {"view": torch.tensor(direction(toward, "--toward"), dtype=torch.float64)}
     return {}
-
-
-def light(path: Path, order: int, repair: bool) -> Tensor:
-    """A light of `order` from coefficients or an image, whose damage is told."""
-    from torchprt import light
-
-    if path.suffix.lower() == ".npy":
-        return light.read_coefficients(path, order)
-    return light.project(environment(path, repair), order)
 
 
 def environment(path: Path, repair: bool) -> Tensor:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from torchprt.cli import options
-from torchprt.cli.environments import SKY, STUDIO, environment_of
+from torchprt.cli.environments import BUILT_IN, LIGHT_HELP, environment_of
+from torchprt.cli.picture_options import TONE, TONES, Tone
 from torchprt.cli.report import describe, say
 
 
@@ -18,13 +19,13 @@ def preview(
     ],
     light: Annotated[
         list[str] | None,
-        typer.Option(help="An environment image, an .npy, studio or sky (repeatable).", show_default="studio and sky"),
+        typer.Option(help=f"{LIGHT_HELP} Repeatable.", show_default="all of these"),
     ] = None,
     size: Annotated[str, typer.Option(help="Of the window, in pixels.")] = "1024x768",
     poses: Annotated[
         Path | None, typer.Option(help="Gives a bake in zonal lobes these poses, .npy of T x V x 3; else it bends.")
     ] = None,
-    tone: Annotated[str, typer.Option(help="filmic or none.")] = "filmic",
+    tone: Tone = TONE,
     material: options.OpenGloss = None,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
@@ -33,7 +34,7 @@ def preview(
     from torchprt import preview
 
     shape = options.size(size)
-    options.choice(tone, "--tone", ("filmic", "none"))
+    options.choice(tone, "--tone", TONES)
     preview.check_window()
     opened = {_name(path, bakes): prt.load_transfer(path) for path in bakes}
     for name, transfer in opened.items():
@@ -42,7 +43,7 @@ def preview(
     incident = [transfer for transfer in opened.values() if "reflectance" in transfer.needs]
     chosen = options.gloss_of((incident or list(opened.values()))[0], material)
     highest = max(transfer.order for transfer in opened.values())
-    lights = [environment_of(each, highest, repair) for each in light or (STUDIO, SKY)]
+    lights = [environment_of(each, highest, repair) for each in light or BUILT_IN]
     moves = None if poses is None else options.positions(poses)
     session = preview.Session(opened, lights, brdf=chosen, tone=preview.tone_map(tone), poses=moves)
     preview.show(session, size=shape, name=f"torchprt {bakes[0].stem}", say=say)

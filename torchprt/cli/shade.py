@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from torchprt.cli import options
+from torchprt.cli import picture_options as asked
 from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
 
 def shade(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
-    light: Annotated[Path, typer.Option(help="An environment image, or an .npy of light coefficients.")],
     output: Annotated[
         Path, typer.Option("-o", "--output", help=".npy of radiance, .ply or .glb with colours, or .png.")
     ],
-    rotate: Annotated[str, typer.Option(help="Turns the environment: YAW,PITCH,ROLL in degrees.")] = "0,0,0",
-    window: Annotated[str, typer.Option(help="Against ringing: none, hann, lanczos, gauss or auto.")] = "none",
+    light: asked.Light = asked.LIGHT,
+    rotate: asked.Rotate = asked.ROTATE,
+    window: asked.Window = None,
     eye: Annotated[
         str | None, typer.Option(help="Gloss: the point X,Y,Z that sees it.", show_default="the camera of the .png")
     ] = None,
@@ -36,13 +37,22 @@ def shade(
         list[Path] | None, typer.Option(help="Of zonal lobes: the baked mesh, its vertices moved (repeat as in bake).")
     ] = None,
     material: options.OpenGloss = None,
-    exposure: Annotated[float, typer.Option(help="In stops, for .ply, .glb and .png.")] = 0.0,
-    tone: Annotated[str, typer.Option(help="filmic or none, for .ply, .glb and .png.")] = "filmic",
-    size: Annotated[str, typer.Option(help="Of the .png, in pixels.")] = "800x600",
-    view: Annotated[str, typer.Option(help="From the model toward the camera of the .png: X,Y,Z.")] = "0.45,0.35,1",
-    repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
+    exposure: asked.Exposure = None,
+    tone: asked.Tone = asked.TONE,
+    size: asked.Size = asked.SIZE,
+    view: asked.View = asked.VIEW,
+    target: asked.Target = None,
+    distance: asked.Distance = None,
+    fov: asked.Fov = asked.FOV,
+    samples: asked.Samples = asked.SAMPLES,
+    background: asked.ShowEnvironment = False,
+    backdrop: asked.Backdrop = None,
+    repair: asked.Repair = False,
 ) -> None:
-    """Light a bake. `.npy` is linear exit radiance, V x 3, in the vertex order of the mesh file."""
+    """Light a bake. `.npy` is linear exit radiance, V x 3, in the vertex order of the mesh file.
+
+    Exposure and tone are of .ply, .glb and .png; size, camera and background of the .png, which is that of `render`.
+    """
     import numpy as np
     import torch
 
@@ -50,25 +60,35 @@ def shade(
     from torchprt import preview, sh
 
     check_writable(output, (".npy", ".ply", ".glb", ".png"))
-    turn = sh.yaw_pitch_roll(torch.tensor(options.numbers(rotate, 3, "--rotate"), dtype=torch.float64)).float()
-    side, (width, height) = options.direction(view, "--view"), options.size(size)
+    ends = output.suffix.lower()
+    picture = asked.picture_options(
+        light=light,
+        size=size,
+        view=view,
+        target=target,
+        distance=distance,
+        fov=fov,
+        samples=samples,
+        rotate=rotate,
+        window=window,
+        background=background,
+        backdrop=backdrop,
+        exposure=exposure,
+        tone=tone,
+        repair=repair,
+    )
     seen = options.eye(eye, toward)
-    options.choice(window, "--window", options.WINDOWS)
-    options.choice(tone, "--tone", ("filmic", "none"))
-    if not abs(exposure) <= 100:
-        raise InputError(f"--exposure is {exposure}: give stops from -100 to 100")
     loaded = prt.load_transfer(transfer)
     rest, moved = loaded, dict[str, torch.Tensor]()
     if pose:
         loaded, moved = in_pose(rest, pose)
-    still, framed = None, None
-    if output.suffix.lower() == ".png":
-        framed = preview.frame(loaded.positions, side, aspect=width / height)
-        still = preview.Still(loaded.positions, loaded.faces, size=(width, height), camera=framed)
+    framed = picture.camera(loaded) if ends == ".png" else None
     chosen, seen = options.gloss_of(loaded, material), _eye_of(loaded, seen, framed)
-    coefficients = options.windowed(options.light(light, loaded.order, repair), window)
+    environment = picture.environment(loaded.order)
+    shader = prt.shader(rest, brdf=chosen)
     with torch.no_grad():
-        radiance = prt.shader(rest, brdf=chosen)(coefficients, turn, **seen, **moved).float()
+        radiance = shader(sh.rotate(environment.light, picture.rotation), **seen, **moved).float()
+    studio = picture.studio(loaded, shader, environment)
     dark = int((loaded.normals.abs().sum(-1) == 0).sum())
     if dark:
         say(f"{dark} of {len(radiance)} vertices have no normal and read 0")
@@ -79,18 +99,21 @@ def shade(
             fault = "the light and the gloss ring at their orders, --window auto takes away what the light does"
         least = float(radiance.min())
         say(f"{negative} of {len(radiance)} vertices have negative radiance, down to {least:.3g}: {fault}")
-    if still is not None:
-        preview.save_png(still.picture(radiance, exposure=exposure, tone=preview.tone_map(tone)), output)
-    elif output.suffix.lower() == ".ply":
-        preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, exposure, tone), output)
-    elif output.suffix.lower() == ".glb":
-        linear = preview.linear_colours(radiance, exposure, tone)
+    if framed is not None:
+        preview.save_png(studio.picture(framed, picture.rotation, radiance), output)
+    elif ends == ".ply":
+        preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, studio.exposure, tone), output)
+    elif ends == ".glb":
+        linear = preview.linear_colours(radiance, studio.exposure, tone)
         preview.save_glb(loaded.positions, loaded.normals, loaded.faces, output, colour=linear)
     else:
         radiance = loaded.receivers.in_mesh_order(radiance)
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
-    say(f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}")
+    shown = "" if ends == ".npy" else f", exposure {studio.exposure:+.2f} stops"
+    say(
+        f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}{shown}, under {environment.name}"
+    )
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:

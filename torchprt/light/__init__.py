@@ -1,6 +1,7 @@
 """Light: environment images and analytic lights, as spherical-harmonic coefficients `[..., N, 3]`."""
 
 from .analytic import constant, directional, disc, hemisphere, sphere
+from .built_in import BUILT_IN, built_in
 from .coefficients import read_coefficients, write_coefficients
 from .damage import DamagedImageWarning, ImageReport, inspect
 from .dominant import dominant
@@ -11,8 +12,10 @@ from .studio import studio
 from .sun import sun_radiance
 
 __all__ = [
+    "BUILT_IN",
     "DamagedImageWarning",
     "ImageReport",
+    "built_in",
     "clear_sky",
     "clear_sky_radiance",
     "constant",

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+
+Vector = tuple[float, float, float]
+Lamp = tuple[Vector, tuple[float, float], Vector]
 
 # Direction of the middle, half width and half height as tangents, radiance.
 LAMPS = (
@@ -32,7 +37,16 @@ def studio(height: int = 128) -> Float[Tensor, "H W 3"]:
     room = torch.where(
         above > 0, torch.lerp(wall, ceiling, above.clamp(min=0)), torch.lerp(wall, floor, (-above).clamp(min=0))
     )
-    for middle, (width, tall), radiance in LAMPS:
+    return soft_boxes(room, LAMPS)
+
+
+def soft_boxes(room: Float[Tensor, "H W 3"], lamps: Sequence[Lamp]) -> Float[Tensor, "H W 3"]:
+    """A latitude-longitude map with rectangular lamps over it.
+
+    Of a lamp: the direction of its middle, half its width and half its height as tangents, its radiance.
+    """
+    directions = sh.latlong_directions(room.shape[0], room.shape[1], dtype=torch.float32)
+    for middle, (width, tall), radiance in lamps:
         forward = torch.nn.functional.normalize(torch.tensor(middle), dim=0)
         right = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([0.0, 1.0, 0.0]), forward), dim=0)
         up = torch.linalg.cross(forward, right)

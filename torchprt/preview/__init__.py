@@ -2,9 +2,10 @@
 
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
-from .environment import Environment, automatic_exposure, photograph, seen_along
+from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
 from .error_colours import error_colours
 from .glb import save_glb
+from .ground import subject
 from .lobe import Lobe, lobe
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
@@ -12,10 +13,11 @@ from .picture import Still, save_png
 from .relight import Relight
 from .session import Session
 from .sheet import sheet
-from .turntable import Studio, save_gif, strip
+from .turntable import Background, Studio, save_gif, strip
 from .window import check_window, show
 
 __all__ = [
+    "Background",
     "Camera",
     "Environment",
     "Lobe",
@@ -25,6 +27,7 @@ __all__ = [
     "Still",
     "Studio",
     "automatic_exposure",
+    "built_in_environment",
     "check_window",
     "colours",
     "error_colours",
@@ -41,5 +44,7 @@ __all__ = [
     "sheet",
     "show",
     "strip",
+    "subject",
     "tone_map",
+    "windowed",
 ]

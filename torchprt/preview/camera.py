@@ -70,11 +70,15 @@ def frame(
     *,
     aspect: float = 4 / 3,
     field: float = 35.0,
+    target: tuple[float, float, float] | None = None,
+    distance: float | None = None,
 ) -> Camera:
     """The camera in direction `toward` (from the model) that holds every vertex in a picture `aspect` as wide as high.
 
-    It looks at the middle of the bounding box; straight from above or below, -z is up in the picture.
-    Raises InputError without points, and if `toward` is no direction or `aspect` or `field` leave no picture.
+    It looks at `target`, the middle of the bounding box if omitted; straight from above or below, -z is up in the
+    picture. `distance` from there takes the place of the one that holds every vertex.
+    Raises InputError without points, and if `toward` is no direction, `target` no point, or `aspect`, `field` or
+    `distance` leave no picture.
     """
     if len(positions) == 0:
         raise InputError("there is nothing to look at: the model has no vertices")
@@ -84,11 +88,19 @@ def frame(
         raise InputError(f"toward is {toward}: give a direction, finite and not zero")
     if not (0 < aspect < math.inf and 0 < field < 180):
         raise InputError(f"aspect is {aspect} and field {field}: give an aspect above 0, a field between 0 and 180")
+    if distance is not None and not 0 < distance < math.inf:
+        raise InputError(f"distance is {distance}: give a number above 0")
     direction = torch.nn.functional.normalize(direction, dim=0)
     up = (0.0, 1.0, 0.0) if float(direction[[0, 2]].norm()) > STEEP else (0.0, 0.0, -1.0)
     points = positions.to(torch.float64)
     middle = (points.amin(0) + points.amax(0)) / 2
-    eye = middle + direction * _distance(points - middle, direction, torch.tensor(up).double(), aspect, field)
+    if target is not None:
+        middle = torch.tensor(target, dtype=torch.float64)
+        if not bool(middle.isfinite().all()):
+            raise InputError(f"target is {target}: give a point, three finite numbers")
+    if distance is None:
+        distance = _distance(points - middle, direction, torch.tensor(up).double(), aspect, field)
+    eye = middle + direction * distance
     x, y, z = eye.tolist()
     u, v, w = middle.tolist()
     return Camera((x, y, z), (u, v, w), up, field)

@@ -12,11 +12,18 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.light import built_in, project
 
-GREY = 0.35
-"""The mean radiance of an environment, as `automatic_exposure` shows it: a facing surface of albedo 1 is near white."""
+WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+"""Against ringing."""
+PANORAMA = 256
+"""Rows of a built-in light."""
 ROWS = 64
 """Rows of the picture of a light that has no image."""
+METER = 24
+"""Rows of the map of directions that the exposure is measured in."""
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Rec. 709."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +35,57 @@ class Environment:
     image: Float[Tensor, "H W 3"] | None = None
 
 
+def built_in_environment(name: str, order: int, window: str = "auto") -> Environment:
+    """One of `light.BUILT_IN` at `order`, under the least window that keeps it positive, or another of `WINDOWS`.
+
+    Raises InputError for an unknown name or window.
+    """
+    image = built_in(name, PANORAMA)
+    return Environment(name, windowed(project(image, order), window), image)
+
+
+def windowed(light: Float[Tensor, "N 3"], name: str) -> Float[Tensor, "N 3"]:
+    """The light under one of `WINDOWS`, made for all its bands. Raises InputError for any other name."""
+    if name not in WINDOWS:
+        raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
+    if name == "none":
+        return light
+    if name == "auto":
+        return sh.least_window(light)[0]
+    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
+    return sh.window(light, chosen(math.isqrt(len(light)), dtype=light.dtype))
+
+
 def automatic_exposure(light: Float[Tensor, "N 3"]) -> float:
-    """Stops that show the mean radiance of `light` as a middling grey; 0 for a light whose mean is black."""
-    mean = float(light[0].mean()) * 0.5 / math.sqrt(math.pi)
-    return math.log2(GREY / mean) if mean > 0 else 0.0
+    """Stops at which a white surface that faces most of `light` is just white; 0 for a light that is black.
+
+    That is what a meter of incident light says, so that a dark model stays dark, and no picture of a turntable differs
+    from the next. Measured is the largest irradiance / pi of a surface that nothing shadows, in luminance.
+    """
+    order = min(math.isqrt(len(light)), 5)
+    radiance = light[: order**2].double() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=light.device)
+    irradiance = sh.convolve(radiance[:, None], sh.clamped_cosine(order, dtype=torch.float64).to(light.device))
+    facing = sh.basis(sh.latlong_directions(METER, 2 * METER).to(light.device), order) @ irradiance / math.pi
+    most = float(facing.max())
+    return -math.log2(most) if most > 0 else 0.0
+
+
+def for_pixels(image: Float[Tensor, "H W 3"], pixel: float) -> Float[Tensor, "h w 3"]:
+    """A latitude-longitude map to be read once for each pixel of `pixel` radians by `seen_along`.
+
+    One that is finer is averaged, so that nothing glitters; one that is much coarser is smoothed over its neighbours,
+    so that no texels are seen.
+    """
+    rows = max(1, math.ceil(math.pi / pixel))
+    planes = image.movedim(-1, 0)[None]
+    if rows < image.shape[0]:
+        return F.interpolate(planes, (rows, 2 * rows), mode="area")[0].movedim(0, -1)
+    if rows < 2 * image.shape[0]:
+        return image
+    kernel = image.new_tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+    wide = F.pad(planes, (2, 2, 0, 0), mode="circular")
+    tall = F.pad(F.conv2d(wide.movedim(0, 1), kernel.view(1, 1, 1, 5)), (0, 0, 2, 2), mode="replicate")
+    return F.conv2d(tall, kernel.view(1, 1, 5, 1))[:, 0].movedim(0, -1)
 
 
 def photograph(light: Float[Tensor, "N 3"], rows: int = ROWS) -> Float[Tensor, "H W 3"]:

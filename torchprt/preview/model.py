@@ -10,31 +10,25 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.shade import display
-from torchprt.shade.display import ToneMap, filmic
+from torchprt.shade.display import TONE, ToneMap, check_tone, tone_mapped
 
 
 def tone_map(name: str) -> ToneMap:
     """`name` as a tone map; InputError if there is none of that name."""
-    if name == "filmic":
-        return "filmic"
-    if name == "none":
-        return "none"
-    raise InputError(f"tone map '{name}' is unknown: use 'none' or 'filmic'")
+    return check_tone(name)
 
 
-def colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "filmic") -> Tensor:
+def colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = TONE) -> Tensor:
     """8-bit sRGB of linear radiance, uint8 `[V, 3]`."""
-    shown = display(radiance, exposure=exposure, tone=tone_map(tone))
+    shown = display(radiance, exposure=exposure, tone=check_tone(tone))
     return (shown * 255).round().to(torch.uint8)
 
 
-def linear_colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = "filmic") -> Tensor:
+def linear_colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: str = TONE) -> Tensor:
     """Linear RGB in [0, 1], float32 `[V, 3]`, for formats that leave sRGB to the viewer: `colours` are its sRGB."""
-    exposed = radiance.float() * 2.0**exposure
-    return filmic(exposed) if tone_map(tone) == "filmic" else exposed.clamp(0, 1)
+    return tone_mapped(radiance.float(), exposure=exposure, tone=check_tone(tone))
 
 
 def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]) -> None:

@@ -38,10 +38,14 @@ class Orbit:
         *,
         aspect: float = 1.0,
         sides: int = 1,
+        field: float = 35.0,
+        target: tuple[float, float, float] | None = None,
+        distance: float | None = None,
     ) -> Orbit:
         """The orbit whose first camera is that of `frame`, or up to 0.5 degrees beside it if that looks straight down.
 
         `sides`: from how many sides around the model it is seen whole, from the distance of the farthest of them.
+        `field`, `target`, `distance` as in `frame`.
         Raises InputError as `frame`.
         """
         x, y, z = toward
@@ -49,11 +53,13 @@ class Orbit:
         views = [
             (x * math.cos(turn) + z * math.sin(turn), y, z * math.cos(turn) - x * math.sin(turn)) for turn in turns
         ]
-        cameras = [frame(positions, view, aspect=aspect) for view in views]
-        distance = max(math.dist(camera.eye, camera.target) for camera in cameras)
+        cameras = [
+            frame(positions, view, aspect=aspect, field=field, target=target, distance=distance) for view in views
+        ]
+        away = max(math.dist(camera.eye, camera.target) for camera in cameras)
         length = math.hypot(x, y, z)
         pitch = max(-STEEPEST, min(STEEPEST, math.asin(y / length)))
-        return cls(cameras[0].target, distance, math.atan2(x, z), pitch, distance, cameras[0].field)
+        return cls(cameras[0].target, away, math.atan2(x, z), pitch, away, cameras[0].field)
 
     def camera(self) -> Camera:
         level = math.cos(self.pitch)

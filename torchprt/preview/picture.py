@@ -9,21 +9,27 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.preview.camera import Camera, frame
-from torchprt.shade import display
-from torchprt.shade.display import ToneMap
+from torchprt.shade import srgb, tone_mapped
+from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.trace import Tracer
 
-BACKGROUND = 0.06
+SAMPLES = 4
+"""Rays a pixel."""
+MIDDLE, CORNER = (0.36, 0.37, 0.39), (0.13, 0.135, 0.145)
+"""sRGB of the plain background behind the model and far from it."""
+GOLDEN = (5**0.5 - 1) / 2
 
 
 class Still:
     """A model seen by a camera: the hits are found once, then every light and rotation is an interpolation.
 
-    `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel along each side.
+    `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel, in a pattern in which
+    no two share a row or a column of it. `opacity [V]`: 0 where a vertex lets through what is behind the model.
     The camera of `frame` if none is given. Back faces are black: they reflect nothing.
     Raises InputError if the model has no faces or the picture no pixels.
     """
@@ -35,7 +41,8 @@ class Still:
         *,
         size: tuple[int, int] = (800, 600),
         camera: Camera | None = None,
-        samples: int = 2,
+        samples: int = SAMPLES,
+        opacity: Float[Tensor, "V"] | None = None,
     ):
         if len(faces) == 0:
             raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
@@ -43,56 +50,114 @@ class Still:
         if width < 1 or height < 1 or samples < 1:
             raise InputError(f"size {width}x{height} with {samples} samples has no pixels: give numbers from 1")
         self.camera = camera or frame(positions, aspect=width / height)
-        self._rays = width * samples, height * samples
+        self.size = size
+        self._samples = samples
         tracer = Tracer(positions, faces)
         eye = torch.tensor(self.camera.eye, dtype=torch.float64)
-        hits = tracer.camera(eye, self.directions())
-        self._seen = hits.triangle >= 0
-        triangle = hits.triangle.long().clamp(min=0)
-        corners, front = faces.long()[triangle], hits.front
-        if bool((self._seen & ~front).any()):
+        hits = tracer.camera(eye, self.directions().view(height * width, samples, 3))
+        seen = hits.triangle >= 0
+        triangle, front = hits.triangle[seen].long(), hits.front[seen]
+        corners = faces.long()[triangle]
+        if not bool(front.all()):
             # A two-sided surface is there twice, and Embree may have met either: the side that faces us counts.
             reverse = reverse_corners(positions, faces)[triangle]
-            twin = ~front & (reverse[..., 0] >= 0)
-            corners, front = torch.where(twin[..., None], reverse, corners), front | twin
-        weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1)
+            twin = ~front & (reverse[:, 0] >= 0)
+            corners, front = torch.where(twin[:, None], reverse, corners), front | twin
+        u, v = hits.u[seen], hits.v[seen]
+        weights = torch.stack([1 - u - v, u, v], -1)
+        solid = torch.ones(len(u)) if opacity is None else (opacity.float()[corners] * weights).sum(-1).clamp(0, 1)
         self._vertices = len(positions)
-        self._corners = corners
-        self._weights = torch.where((self._seen & front)[..., None], weights, 0)
-        self._samples = samples
+        self._corners = corners.flatten()
+        # What each corner of each hit adds to its pixel; hits lie in the order of the pixels.
+        self._weights = torch.where(front[:, None], weights * (solid[:, None] / samples), 0).flatten()
+        self._starts = 3 * torch.cat([torch.zeros(1, dtype=torch.int64), seen.sum(1).cumsum(0)])
+        self._through = torch.ones(seen.shape).masked_scatter_(seen, 1 - solid)
+        self._plain: Tensor | None = None
 
-    def directions(self) -> Float[Tensor, "h w 3"]:
-        """The world direction of every ray, `samples` times as many along each side as there are pixels."""
-        return self.camera.directions(*self._rays)
+    def directions(self) -> Float[Tensor, "H W S 3"]:
+        """The world direction of every ray, in the order of the samples."""
+        width, height = self.size
+        across, down = _pattern(self._samples)
+        x = torch.arange(width, dtype=torch.float64)[None, :, None] + across
+        y = torch.arange(height, dtype=torch.float64)[:, None, None] + down
+        return self.camera.through(x, y, width, height)
+
+    @property
+    def coverage(self) -> Float[Tensor, "H W"]:
+        """The share of each pixel that the model covers."""
+        return 1 - self._through.mean(1).view(self.size[1], self.size[0])
 
     def radiance(
-        self, vertex_radiance: Float[Tensor, "V 3"], background: float | Float[Tensor, "h w 3"] = BACKGROUND
+        self, vertex_radiance: Float[Tensor, "V 3"], background: float | Float[Tensor, "H W 3"] = 0.0
     ) -> Float[Tensor, "H W 3"]:
-        """The picture of linear radiance. `background`: one for all rays that meet nothing, or that of `directions`.
+        """The picture of linear radiance before a `background`, one for all pixels or one for each.
 
         Raises InputError unless there is a radiance for every vertex.
         """
-        if len(vertex_radiance) != self._vertices:
-            raise InputError(
-                f"radiance of {len(vertex_radiance)} vertices for a model of {self._vertices}: give each one"
-            )
-        shaded = (vertex_radiance[self._corners] * self._weights[..., None].to(vertex_radiance)).sum(-2)
-        picture = torch.where(self._seen[..., None], shaded, background)
-        height, width = picture.shape[0] // self._samples, picture.shape[1] // self._samples
-        return picture.view(height, self._samples, width, self._samples, 3).mean((1, 3))
+        return self._light(vertex_radiance) + background * self._behind().to(vertex_radiance)
 
     def picture(
         self,
         vertex_radiance: Float[Tensor, "V 3"],
         *,
         exposure: float = 0.0,
-        tone: ToneMap = "filmic",
-        background: float | Float[Tensor, "h w 3"] = BACKGROUND,
+        tone: ToneMap = TONE,
+        background: float | Float[Tensor, "H W 3"] | None = None,
     ) -> Float[Tensor, "H W 3"]:
-        """The picture as sRGB in [0, 1]; a background of one number is not exposed."""
-        scale = 2.0**exposure
-        behind = background * scale if isinstance(background, Tensor) else background
-        return display(self.radiance(vertex_radiance * scale, behind), tone=tone)
+        """The picture as sRGB in [0, 1] before `background`, linear RGB as it is to be shown; None is a plain one.
+
+        What a pixel shows of the model is tone mapped before it is mixed with what is behind: an edge before a lamp is
+        as smooth as any.
+        """
+        behind = self.plain() if background is None else background
+        model = tone_mapped(self._mean(vertex_radiance), exposure=exposure, tone=tone)
+        through = self._behind().to(model)
+        return srgb(model * (1 - through) + behind * through)
+
+    def cutout(
+        self, vertex_radiance: Float[Tensor, "V 3"], *, exposure: float = 0.0, tone: ToneMap = TONE
+    ) -> Float[Tensor, "H W 4"]:
+        """The picture with a fourth channel, the share of each pixel that the model covers (not premultiplied)."""
+        model = srgb(tone_mapped(self._mean(vertex_radiance), exposure=exposure, tone=tone))
+        return torch.cat([model, self.coverage[..., None].to(model)], -1)
+
+    def plain(self) -> Float[Tensor, "H W 3"]:
+        """The background where nothing else is asked for, linear RGB: grey, lighter behind the model."""
+        if self._plain is None:
+            width, height = self.size
+            x = ((torch.arange(width) + 0.5) / width - 0.5) * (width / max(width, height))
+            y = ((torch.arange(height) + 0.5) / height - 0.5) * (height / max(width, height))
+            far = (torch.hypot(x[None, :], y[:, None]) / 0.65).clamp(max=1)
+            # Without an edge in the middle or at the rim.
+            share = (far * far * (3 - 2 * far))[..., None]
+            self._plain = linear(torch.lerp(torch.tensor(MIDDLE), torch.tensor(CORNER), share))
+        return self._plain
+
+    def _light(self, radiance: Tensor) -> Tensor:
+        """What the model adds to each pixel, `[H, W, 3]`."""
+        if len(radiance) != self._vertices:
+            raise InputError(f"radiance of {len(radiance)} vertices for a model of {self._vertices}: give each one")
+        weights = self._weights.to(radiance)
+        total = embedding_bag(
+            self._corners, radiance, self._starts, mode="sum", per_sample_weights=weights, include_last_offset=True
+        )
+        return total.view(self.size[1], self.size[0], 3)
+
+    def _mean(self, radiance: Tensor) -> Tensor:
+        """The mean radiance of what each pixel shows of the model; 0 where it shows nothing."""
+        covered = 1 - self._behind().to(radiance)
+        return self._light(radiance) / torch.where(covered > 0, covered, 1.0)
+
+    def _behind(self) -> Tensor:
+        """The share of each pixel that is background, `[H, W, 1]`."""
+        return self._through.mean(1).view(self.size[1], self.size[0], 1)
+
+
+def _pattern(count: int) -> tuple[Float[Tensor, "S"], Float[Tensor, "S"]]:
+    """Places of `count` samples in a pixel: one in each of as many rows and columns, as a rotated grid is."""
+    steps = torch.arange(count, dtype=torch.float64)
+    rows = ((steps + 0.5) * GOLDEN % 1).argsort().argsort()
+    return (steps + 0.5) / count, (rows + 0.5) / count
 
 
 def reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
@@ -109,8 +174,11 @@ def reverse_corners(positions: Tensor, faces: Tensor) -> Tensor:
     return torch.where(twin[:, None] >= 0, reverse, -1)
 
 
-def save_png(picture: Float[Tensor, "H W 3"], path: str | os.PathLike[str]) -> None:
-    """Writes sRGB values in [0, 1] as 8-bit PNG. Raises InputError if `path` cannot be written."""
+def save_png(picture: Float[Tensor, "H W C"], path: str | os.PathLike[str]) -> None:
+    """Writes sRGB values in [0, 1] as 8-bit PNG, a fourth channel as opacity.
+
+    Raises InputError if `path` cannot be written.
+    """
     from PIL import Image
 
     values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()

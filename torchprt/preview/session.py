@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,20 +14,20 @@ from torchprt.errors import InputError
 from torchprt.preview import modes
 from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
-from torchprt.preview.environment import Environment, automatic_exposure, photograph
+from torchprt.preview.environment import WINDOWS, Environment, automatic_exposure, photograph, windowed
 from torchprt.preview.error_colours import error_colours
+from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
 from torchprt.shade import display, shader
-from torchprt.shade.display import ToneMap
+from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 BACKDROPS = ("plain", "environment", "environment in bands")
 WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
@@ -56,7 +55,7 @@ class Session:
         environments: Sequence[Environment],
         *,
         brdf: Any = None,
-        tone: ToneMap = "filmic",
+        tone: ToneMap = TONE,
         toward: tuple[float, float, float] = (0.45, 0.35, 1.0),
         poses: Float[Tensor, "T V 3"] | None = None,
     ):
@@ -90,7 +89,7 @@ class Session:
         self.environment = 0
         self.backdrop = BACKDROPS[0]
         self.rotation = torch.eye(3)
-        self.orbit = self._home = Orbit.around(self.rest, toward)
+        self.orbit = self._home = Orbit.around(subject(first.receivers).double(), toward)
         self.picked: int | None = None
         self.radius = float((self.rest - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
         self._brdf = brdf
@@ -332,18 +331,6 @@ class Session:
 
     def _display(self, radiance: Tensor) -> Tensor:
         return display(radiance.float(), exposure=self.stops, tone=self.tone)
-
-
-def windowed(light: Float[Tensor, "N 3"], name: str) -> Float[Tensor, "N 3"]:
-    """The light under one of `WINDOWS`, made for all its bands. Raises InputError for any other name."""
-    if name not in WINDOWS:
-        raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
-    if name == "none":
-        return light
-    if name == "auto":
-        return sh.least_window(light)[0]
-    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(light, chosen(math.isqrt(len(light)), dtype=light.dtype))
 
 
 def _after(names: Sequence[str], name: str) -> str:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,21 +16,25 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.preview.camera import Camera
-from torchprt.preview.environment import Environment, seen_along
+from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, seen_along
+from torchprt.preview.ground import opacity
 from torchprt.preview.orbit import Orbit
-from torchprt.preview.picture import BACKGROUND, Still
+from torchprt.preview.picture import SAMPLES, Still
 from torchprt.preview.relight import Relight
 from torchprt.sh import rotate, yaw_pitch_roll
-from torchprt.shade import Shader
-from torchprt.shade.display import ToneMap
+from torchprt.shade import Shader, tone_mapped
+from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.transfer import Transfer
+
+Background = Literal["plain", "environment", "transparent"] | tuple[float, float, float]
 
 
 class Studio:
     """Pictures of `transfer` by its `shader`, seen from `camera`, in `environment`, without a display.
 
-    `rotation` turns the environment, which is shown behind the model if `backdrop`. Glossy transfer is shaded for the
-    eye of the camera. `exposure` in stops.
+    `rotation` turns the environment. Glossy transfer is shaded for the eye of the camera. `exposure` in stops, that of
+    `automatic_exposure` if omitted. `background`: a plain grey one, the environment, nothing (pictures then have a
+    fourth channel, their opacity), or a colour in sRGB. A ground fades out toward its rim.
     Raises InputError as `Still` and the shader.
     """
 
@@ -40,50 +45,91 @@ class Studio:
         environment: Environment,
         *,
         size: tuple[int, int] = (800, 600),
-        exposure: float | int = 0.0,
-        tone: ToneMap = "filmic",
-        backdrop: bool = False,
-        samples: int = 2,
+        exposure: float | int | None = None,
+        tone: ToneMap = TONE,
+        background: Background = "plain",
+        samples: int = SAMPLES,
     ):
-        if backdrop and environment.image is None:
+        if background == "environment" and environment.image is None:
             raise InputError(f"{environment.name} has no image to show behind the model: give an environment image")
         self.transfer = transfer
         self.environment = environment
         self.size = size
-        self.exposure = exposure
+        self.exposure = automatic_exposure(environment.light) if exposure is None else float(exposure)
         self.tone: ToneMap = tone
-        self.backdrop = backdrop
+        self.background: Background = background
         self.samples = samples
         self._relight = Relight(shader)
         self._still: Still | None = None
+        self._panorama: tuple[float, Tensor] | None = None
 
-    def picture(self, camera: Camera, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "H W 3"]:
-        """One picture as sRGB in [0, 1]. Rays are traced only if the camera is another than before."""
+    def picture(
+        self,
+        camera: Camera,
+        rotation: Float[Tensor, "3 3"],
+        radiance: Float[Tensor, "V 3"] | None = None,
+    ) -> Float[Tensor, "H W C"]:
+        """One picture as sRGB in [0, 1]. Rays are traced only if the camera is another than before.
+
+        `radiance` of the vertices takes the place of what the shader gives.
+        """
+        still = self._look(camera)
+        if radiance is None:
+            eye = torch.tensor(camera.eye, dtype=torch.float64)
+            radiance = self._relight(rotate(self.environment.light, rotation), eye)
+        if self.background == "transparent":
+            return still.cutout(radiance.float(), exposure=self.exposure, tone=self.tone)
+        behind = self._behind(camera, rotation)
+        return still.picture(radiance.float(), exposure=self.exposure, tone=self.tone, background=behind)
+
+    def colours(self, camera: Camera, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "H W C"]:
+        """One picture of sRGB colours of the vertices, neither exposed nor tone mapped."""
+        still = self._look(camera)
+        if self.background == "transparent":
+            return still.cutout(linear(colours.float()), tone="none")
+        behind = self._behind(camera, torch.eye(3))
+        return still.picture(linear(colours.float()), tone="none", background=behind)
+
+    def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:
+            place = self.transfer.receivers
             self._still = Still(
-                self.transfer.positions, self.transfer.faces, size=self.size, camera=camera, samples=self.samples
+                *(place.positions, place.faces),
+                size=self.size,
+                camera=camera,
+                samples=self.samples,
+                opacity=opacity(place),
             )
-        lit = self._relight(rotate(self.environment.light, rotation), torch.tensor(camera.eye, dtype=torch.float64))
-        behind: float | Tensor = BACKGROUND
-        if self.backdrop and self.environment.image is not None:
-            behind = seen_along(self.environment.image, self._still.directions(), rotation)
-        return self._still.picture(lit.float(), exposure=self.exposure, tone=self.tone, background=behind)
+        return self._still
 
-    def turntable(self, count: int, orbit: Orbit, rotation: Float[Tensor, "3 3"]) -> Iterator[Float[Tensor, "H W 3"]]:
+    def _behind(self, camera: Camera, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "H W 3"] | None:
+        """Linear RGB behind the model as it is shown; None for the plain background."""
+        if isinstance(self.background, tuple):
+            return linear(torch.tensor(self.background)).expand(self.size[1], self.size[0], 3)
+        if self.background != "environment" or self.environment.image is None:
+            return None
+        # Once for all pictures of one angle of view.
+        if self._panorama is None or self._panorama[0] != camera.field:
+            texel = math.radians(camera.field) / self.size[1]
+            self._panorama = camera.field, for_pixels(self.environment.image, texel)
+        seen = seen_along(self._panorama[1], camera.directions(*self.size), rotation)
+        return tone_mapped(seen.float(), exposure=self.exposure, tone=self.tone)
+
+    def turntable(self, count: int, orbit: Orbit, rotation: Float[Tensor, "3 3"]) -> Iterator[Float[Tensor, "H W C"]]:
         """`count` pictures in which the camera goes once around +y."""
         for number in range(_positive(count)):
             yield self.picture(orbit.turned(-2 * math.pi * number / count, 0.0).camera(), rotation)
 
     def light_turntable(
         self, count: int, camera: Camera, rotation: Float[Tensor, "3 3"]
-    ) -> Iterator[Float[Tensor, "H W 3"]]:
+    ) -> Iterator[Float[Tensor, "H W C"]]:
         """`count` pictures in which the environment, already turned by `rotation`, goes once around +y."""
         for number in range(_positive(count)):
             yaw = yaw_pitch_roll(torch.tensor([360.0 * number / count, 0.0, 0.0], dtype=rotation.dtype))
             yield self.picture(camera, yaw @ rotation)
 
 
-def strip(pictures: Sequence[Float[Tensor, "H W 3"]], columns: int | None = None) -> Float[Tensor, "I J 3"]:
+def strip(pictures: Sequence[Float[Tensor, "H W C"]], columns: int | None = None) -> Float[Tensor, "I J C"]:
     """The pictures side by side in rows of `columns`, about as many as there are rows if omitted; black where none is.
 
     Raises InputError without pictures or if their sizes differ.

@@ -3,7 +3,7 @@
 from .at_rest import at_rest
 from .clustered import ClusteredSignal
 from .dense import DenseSignal
-from .display import display, filmic, srgb
+from .display import agx, display, filmic, neutral, srgb, tone_mapped
 from .environment import EnvironmentShader
 from .eye_layer import ExitLayer, EyeLayerModule, FactoredLayer
 from .fixed_light import FixedLightShader
@@ -31,14 +31,17 @@ __all__ = [
     "SignalModule",
     "VisibilityLayer",
     "ZonalSignal",
+    "agx",
     "at_rest",
     "display",
     "filmic",
     "lay",
     "layer_module",
+    "neutral",
     "sample",
     "shader",
     "signal_module",
     "srgb",
+    "tone_mapped",
     "with_material",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 import tempfile
@@ -20,16 +19,15 @@ from torchprt import onnx, preview
 from torchprt.errors import InputError
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
-from torchprt.shade import at_rest, shader
+from torchprt.shade import at_rest
+from torchprt.shade.display import TONE
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
-from torchprt.web.environment import as_json, luminance, of_order, samples, shown
+from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.libraries import libraries
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
 SHADOWS, COMPRESSION = 1.0, 0.1
-# Luminance that 95 of 100 vertices stay below, when a light is first shown.
-BRIGHT = 0.35
 # What the page fetches before its first picture, beside mesh, graphs and pictures.
 LOADED = (
     "three.module.min.js",
@@ -94,10 +92,11 @@ def export(
         if packed is not None:
             onnx.export(packed, made / "compressed.onnx", check=check)
         preview.save_glb(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full))
-        camera = preview.frame(full.positions, aspect=1.0)
+        camera = preview.frame(preview.subject(full.receivers), aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
-        stops = _exposures(full, coefficients, camera.eye)
+        stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
         about = _about(full, transfer, compressed, title) | {
+            "tone": TONE,
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
             "environments": [
                 as_json(each, full.order, picture, exposure)
@@ -156,14 +155,6 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
     values = (shown(environment) * 255).round().to(torch.uint8).numpy()
     Image.fromarray(values).save(folder / name, quality=95, subsampling=0)
     return name
-
-
-def _exposures(transfer: Transfer, light: Tensor, eye: tuple[float, float, float]) -> list[float]:
-    """Stops that bring the brighter parts of the model below the shoulder of the tone map."""
-    seen = {"eye": torch.tensor(eye)} if "eye" in transfer.needs else {}
-    with torch.no_grad():
-        bright = luminance(shader(transfer)(light, **seen).float()).quantile(0.95, dim=-1)
-    return [round(math.log2(BRIGHT / value), 2) if value > 0 else 0.0 for value in bright.tolist()]
 
 
 def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
