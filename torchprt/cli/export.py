@@ -50,6 +50,7 @@ def export(
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
     title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    exact: Annotated[bool, typer.Option("--exact", help="Page: weights and places in float32, as in .onnx.")] = False,
     order: Annotated[
         int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
     ] = None,
@@ -60,7 +61,7 @@ def export(
     ends = output.suffix.lower()
     graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
     graph["--pose"] = pose
-    page = {"--light": light, "--compressed": compressed, "--title": title}
+    page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
     if web:
         _refuse(graph | {"--order": order}, "a page")
     else:
@@ -81,7 +82,7 @@ def export(
     if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)
+        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen, exact)
     if ends == ".glb":
         return _export_mesh(loaded, output, order)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)
