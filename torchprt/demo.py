@@ -17,6 +17,7 @@ from torchprt.scene import Material, samples
 from torchprt.shade import display, shader
 from torchprt.transfer import Transfer, save
 from torchprt.transport import bake
+from torchprt.words import count
 
 SIZE = (420, 420)
 EXPOSURE = -1.5
@@ -45,7 +46,7 @@ def run(folder: Path, say: Say = print) -> None:
     transfer = bake(sculpture, bounces=3)
     save(transfer, folder / "sculpture.safetensors")
     say(
-        f"A sculpture of {transfer.vertices} vertices baked in {time.perf_counter() - started:.1f} s, "
+        f"A sculpture of {count(transfer.vertices, 'vertex')} baked in {time.perf_counter() - started:.1f} s, "
         f"{transfer.bytes / 2**20:.1f} MB, Monte Carlo error {_relative_error(transfer):.2%}: sculpture.safetensors"
     )
     pictures = {
@@ -78,7 +79,7 @@ def _gloss(environment: Tensor, folder: Path, say: Say) -> None:
     transfer = bake(teapot, order=GLOSS, rays=256, bounces=1)
     save(transfer, folder / "teapot.safetensors")
     say(
-        f"A glossy teapot of {transfer.vertices} vertices baked in {time.perf_counter() - started:.1f} s, "
+        f"A glossy teapot of {count(transfer.vertices, 'vertex')} baked in {time.perf_counter() - started:.1f} s, "
         f"{transfer.bytes / 2**20:.1f} MB, Monte Carlo error {_relative_error(transfer):.2%}: teapot.safetensors"
     )
     preview.save_png(reflections([shadowed, transfer], lamps), folder / "gloss.png")
@@ -94,7 +95,7 @@ def transport(transfer: Transfer, lamps: Tensor) -> Tensor:
     bakes = [
         ("unshadowed", bake(sculpture, shadows=False, progress=False)),
         ("shadowed", bake(sculpture, rays=512, progress=False)),
-        (f"interreflected, {transfer.bounces} bounces", transfer),
+        (f"interreflected, {count(transfer.bounces, 'bounce')}", transfer),
     ]
     still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
     pictures = [still.picture(_shade(each, lamps), exposure=EXPOSURE) for _, each in bakes]
@@ -148,7 +149,7 @@ def bleeding() -> Tensor:
             camera = preview.frame(transfer.positions, (0.0, 0.08, 1.0), aspect=1.0)
             still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
         pictures.append(still.picture(_shade(transfer, lamps), exposure=-0.5))
-        labels.append(f"{transfer.bounces} bounces")
+        labels.append(count(transfer.bounces, "bounce"))
     return preview.sheet(pictures, labels, columns=2)
 
 
@@ -157,7 +158,7 @@ def reflections(bakes: list[Transfer], lamps: Tensor) -> Tensor:
     camera = preview.frame(bakes[0].positions, (0.7, 0.75, 1.0), aspect=1.0)
     still = preview.Still(bakes[0].positions, bakes[0].faces, size=SIZE, camera=camera)
     radiance = [_shade(each, lamps, camera) for each in bakes]
-    labels = [f"{each.bounces} bounces" if each.bounces != 1 else "1 bounce" for each in bakes]
+    labels = [count(each.bounces, "bounce") for each in bakes]
     radiance.append(4 * (radiance[-1] - radiance[0]).clamp(min=0))
     pictures = [still.picture(each, exposure=EXPOSURE - 1) for each in radiance]
     return preview.sheet(pictures, [*labels, "the difference, times 4"], columns=3)

@@ -22,6 +22,12 @@ def test_importing_it_loads_nothing_heavy():
     assert says(f"import sys, torchprt; print(*[name for name in {HEAVY!r} if name in sys.modules])") == []
 
 
+def test_rooms_do_not_load_what_they_may_never_use():
+    rooms = "brdf, compression, light, pose, preview, scene, sh, shade, trace, transfer, transport"
+    unused = ("torch._dynamo", "kornia", "open3d", "matplotlib", "onnx", "sympy")
+    assert says(f"import sys; from torchprt import {rooms}; print(*[n for n in {unused!r} if n in sys.modules])") == []
+
+
 @pytest.mark.parametrize("name", torchprt.__all__)
 def test_every_name_is_there(name):
     assert getattr(torchprt, name) is not None

@@ -63,7 +63,7 @@ def test_events_of_nothing_do_no_harm(controls, what):
         ([MINUS, MINUS, "="], "order: 3"),
         ([MINUS, PLUS], "order: 4"),
         (["W"], "window: hann"),
-        (["I"], "bake: b, interreflected, 1 bounces"),
+        (["I"], "bake: b, interreflected, 1 bounce"),
         (["E"], "behind: environment"),
         (["R"], "camera and light as in the beginning"),
         (["H"], "help: on"),

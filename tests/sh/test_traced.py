@@ -73,3 +73,17 @@ def test_a_rotation_exports_to_plain_onnx_operations(untyped, tmp_path):
         (ours,) = session.run(None, {"light": light.numpy(), "rotation": rotation.numpy()})
         # 36 products of values of order one in float32.
         np.testing.assert_allclose(ours, sh.rotate(light, rotation).numpy(), atol=36 * 2**-22)
+
+
+def test_a_constant_is_marked_as_the_compiler_marks_it():
+    from torchprt.sh.constant import constant
+
+    def table():
+        return 1
+
+    def other():
+        return 1
+
+    torch.compiler.assume_constant_result(other)
+    assert constant(table) is table
+    assert vars(table) == vars(other) != {}

@@ -51,7 +51,7 @@ def test_refuses_to_learn_what_it_does_not_have_or_bounces_have_baked_in():
         shader(random_zonal_factored(), learn="values")
     with pytest.raises(InputError, match="learn names 'albedo'"):
         shader(random_zonal_factored(diffuse=False), learn="albedo")
-    with pytest.raises(InputError, match="specular cannot be learned: 1 bounces"):
+    with pytest.raises(InputError, match="specular cannot be learned: 1 bounce of"):
         shader(random_zonal_factored(bounces=1), learn="specular")
 
 

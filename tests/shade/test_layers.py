@@ -445,7 +445,7 @@ def test_exit_matrices_are_learned_from_pictures_and_the_transfer_is_left_alone(
 
 def test_refuses_to_learn_what_bounces_have_baked_in_of_one_layer():
     transfer = dataclasses.replace(two_coats(), bounces=1)
-    with pytest.raises(InputError, match="specular cannot be learned: 1 bounces"):
+    with pytest.raises(InputError, match="specular cannot be learned: 1 bounce of"):
         shader(transfer, learn="coat.specular")
     assert len(list(shader(transfer, learn="coat.values").parameters())) == 1
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import typer
 
 from torchprt.cli.bake import bake
+from torchprt.cli.bake_options import GroundCommand
 from torchprt.cli.compress import compress
 from torchprt.cli.demo import demo
 from torchprt.cli.export import export
@@ -41,9 +42,9 @@ VERBS: tuple[Callable[..., None], ...] = (
     demo,
 )
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 for verb in VERBS:
-    app.command()(verb)
+    app.command(cls=GroundCommand)(verb)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from torchprt.cli.export_page import export_page
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+from torchprt.words import count
 
 if TYPE_CHECKING:
     from torchprt.transfer import Transfer
@@ -101,7 +102,7 @@ def _export_mesh(transfer: Transfer, path: Path, order: int | None) -> None:
 
     bands = min(3, transfer.order) if order is None else order
     save_transfer_glb(transfer, path, bands)
-    say(f"{path}: {transfer.vertices} vertices, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
+    say(f"{path}: {count(transfer.vertices, 'vertex')}, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
 
 
 def _refuse(given: Mapping[str, Any], written: str) -> None:

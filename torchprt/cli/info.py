@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from torchprt.cli.report import describe, details, say, triple
+from torchprt.words import count
 
 
 def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a light, an image or a mesh.")]) -> None:
@@ -21,7 +22,7 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
         say(f"{file}: {describe(loaded)}")
         for line in details(loaded):
             say(line)
-        say(f"{loaded.rays} rays a receiver, seed {loaded.seed}, baked by torchprt {loaded.version}")
+        say(f"{count(loaded.rays, 'ray')} a receiver, seed {loaded.seed}, baked by torchprt {loaded.version}")
     elif suffix == ".onnx":
         for name, value in prt.onnx.describe(file).items():
             say(f"{name}: {value}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from torchprt.cli.report import say
 from torchprt.errors import InputError
+from torchprt.words import count
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,7 +27,6 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
 
     from torchprt.pose import deformed_frames
     from torchprt.scene import read_mesh
-    from torchprt.transfer import Vertices
 
     if "pose" not in transfer.needs:
         raise InputError(
@@ -50,11 +50,11 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
     a, b, c = positions[faces].unbind(1)
     collapsed = int((torch.linalg.cross(b - a, c - a) == 0).all(1).sum())
     if collapsed:
-        say(f"{names}: {collapsed} faces have collapsed, their neighbours say how the surface has turned")
+        say(f"{names}: {count(collapsed, 'face')} collapsed, their neighbours say how the surface has turned")
     posed = positions[receivers]
     frames = deformed_frames(transfer.positions.double(), transfer.faces, posed, normals=transfer.normals.double())
     normals = (frames @ transfer.normals.double().unsqueeze(-1)).squeeze(-1)
-    moved = Vertices(positions=posed, normals=normals.to(transfer.normals.dtype), faces=transfer.faces)
+    moved = transfer.receivers.replace(positions=posed, normals=normals.to(transfer.normals.dtype))
     drawn = dataclasses.replace(transfer, receivers=moved)
     return drawn, {"positions": posed}
 

@@ -6,6 +6,8 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from torchprt.words import count
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -28,10 +30,10 @@ def describe(transfer: Transfer) -> str:
     """Kind, size and Monte Carlo error of a transfer in a line."""
     parts = [transfer.kind, transfer.transport]
     if transfer.bounces:
-        parts.append(f"{transfer.bounces} {'bounce' if transfer.bounces == 1 else 'bounces'}")
+        parts.append(count(transfer.bounces, "bounce"))
     parts.append(f"order {transfer.order}")
     parts += [_functions(layer) for layer in transfer.eye_layers.values()]
-    parts += ["3 channels" if transfer.channels == 3 else "1 channel", f"{transfer.vertices} vertices"]
+    parts += [count(transfer.channels, "channel"), count(transfer.vertices, "vertex")]
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
     if counts:
         parts[-1] += f" ({max(counts)} glossy)"
@@ -46,7 +48,7 @@ def describe(transfer: Transfer) -> str:
 def details(transfer: Transfer) -> list[str]:
     """Lines about where a transfer was recorded, and of each layer what it is and what it loses."""
     place = transfer.receivers.metadata()
-    lines = [f"{transfer.vertices} receivers, {len(transfer.faces)} faces"]
+    lines = [f"{count(transfer.vertices, 'receiver')}, {count(len(transfer.faces), 'face')}"]
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
@@ -81,7 +83,9 @@ def _functions(layer: Layer) -> str:
     if "reflectance" in layer.needs:
         return f"incident radiance of order {math.isqrt(rows)}"
     if "output_order" not in about:
-        return f"{rows} {'factors' if 'factor_error' in about else 'functions of the eye'}"
+        if "factor_error" in about:
+            return count(rows, "factor")
+        return count(rows, "function of the eye", "functions of the eye")
     shown = f"output order {about['output_order']} ({about['projection']})"
     seen = getattr(layer, "visibility_order", None)
     return shown if seen is None else f"visibility order {seen}, {shown}"
@@ -115,11 +119,11 @@ def _clusters(transfer: Transfer, layer: Layer) -> list[str]:
     parts, about = layer.signal.tensors(), layer.signal.metadata()
     if "label" not in parts:
         return []
-    count, vectors = len(parts["mean"]), len(parts["basis"])
+    clusters, vectors = len(parts["mean"]), len(parts["basis"])
     lost = f"compression error {about['compression_error'] or 0:.2%} (relative RMS)"
-    first = f"{count} clusters ({about['method']}), {vectors / count:.3g} PCA vectors each, {lost}"
+    first = f"{count(clusters, 'cluster')} ({about['method']}), {vectors / clusters:.3g} PCA vectors each, {lost}"
     if len(parts["shared"]):
-        first += f", in {len(parts['shared'])} shared axes"
+        first += f", in {count(len(parts['shared']), 'shared axis')}"
     squared = parts["squared_error"].double()
     worst = float(squared.max() / squared.mean()) ** 0.5 if float(squared.sum()) else 1.0
     sizes = {name: parts[name].numel() * parts[name].element_size() for name in ("label", "weights")}
@@ -137,7 +141,7 @@ def _lobes(layer: Layer) -> list[str]:
     if "axis" not in parts:
         return []
     rows, lobes = parts["axis"].shape[:2]
-    said = f"{lobes} {'lobe' if lobes == 1 else 'lobes'} a {'vertex' if rows == 1 else 'row'}"
+    said = f"{count(lobes, 'lobe')} a {'vertex' if rows == 1 else 'row'}"
     if parts["exact"].shape[2]:
         said += ", bands 0 and 1 exact"
     if about["smooth"]:

@@ -13,6 +13,7 @@ from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
+from torchprt.words import count
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -91,14 +92,15 @@ def shade(
     studio = picture.studio(loaded, shader, environment)
     dark = int((loaded.normals.abs().sum(-1) == 0).sum())
     if dark:
-        say(f"{dark} of {len(radiance)} vertices have no normal and read 0")
+        say(f"{dark} of {count(len(radiance), 'vertex')} without a normal read 0")
     negative = int((radiance < 0).any(-1).sum())
     if negative:
         fault = "the light rings at this order, --window auto takes that away"
         if seen:
             fault = "the light and the gloss ring at their orders, --window auto takes away what the light does"
         least = float(radiance.min())
-        say(f"{negative} of {len(radiance)} vertices have negative radiance, down to {least:.3g}: {fault}")
+        share = f"{negative} of {count(len(radiance), 'vertex')}"
+        say(f"negative radiance at {share}, down to {least:.3g}: {fault}")
     if framed is not None:
         preview.save_png(studio.picture(framed, picture.rotation, radiance), output)
     elif ends == ".ply":
@@ -111,9 +113,8 @@ def shade(
         with atomic(output) as temporary, temporary.open("wb") as stream:
             np.save(stream, radiance.contiguous().numpy())
     shown = "" if ends == ".npy" else f", exposure {studio.exposure:+.2f} stops"
-    say(
-        f"{output}: {len(radiance)} vertices, mean radiance {triple(radiance.mean(0))}{shown}, under {environment.name}"
-    )
+    mean = f"{count(len(radiance), 'vertex')}, mean radiance {triple(radiance.mean(0))}"
+    say(f"{output}: {mean}{shown}, under {environment.name}")
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:

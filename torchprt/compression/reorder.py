@@ -54,7 +54,7 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
 
     return dataclasses.replace(
         transfer,
-        receivers=Vertices(
+        receivers=vertices.replace(
             positions=vertices.positions[points],
             normals=vertices.normals[points],
             faces=place[vertices.faces.long()][triangles].to(vertices.faces.dtype),

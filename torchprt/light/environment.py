@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.sh.constant import constant
 
 # Samples taken at once, so that a large map does not need many times its size in memory.
 CHUNK = 1 << 21
@@ -120,7 +121,7 @@ def _extend_cube(cube: Float[Tensor, "*B 6 S S C"]) -> Float[Tensor, "*B 6 S2 S2
     return around.reshape(*cube.shape[:-4], 6, size + 2, size + 2, channels)
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     build = _build_neighbours if torch.compiler.is_compiling() else _cached_neighbours
     return build(size, device)

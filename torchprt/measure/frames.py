@@ -69,7 +69,7 @@ def compare_frames(
     # Another seed than that of the bake: the same directions would share its noise.
     wanted = exit_radiance_by_brute_force(few, chosen, directions, light, rays=_REFERENCE_RAYS, seed=seed + 1)
     repeated = chosen[torch.arange(len(geometry.glossy)) % len(chosen)]
-    table = Table(f"{brdf.spec}, order {order}, {len(geometry.glossy)} glossy receivers")
+    table = Table(f"{brdf.spec}, order {order}, {count(len(geometry.glossy), 'glossy receiver')}")
     for name, options in _ways(order, output_orders, factors, visibility_orders).items():
         with warnings.catch_warnings():
             # The errors are what is asked for here.

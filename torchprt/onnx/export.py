@@ -25,6 +25,7 @@ from torchprt.onnx.plan import Plan, plan
 from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
+from torchprt.words import count
 
 Shapes: TypeAlias = dict[str, tuple[int | str, ...]]
 # The arguments of a graph whose input has another name in the file.
@@ -47,7 +48,8 @@ class ExportReport:
     parity: ParityReport | None
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.bytes / 2**20:.1f} MB, opset {self.opset}, {sum(self.operators.values())} nodes"
+        nodes = count(sum(self.operators.values()), "node")
+        return f"{self.path}: {self.bytes / 2**20:.1f} MB, opset {self.opset}, {nodes}"
 
 
 def export(

@@ -19,6 +19,7 @@ from torchprt.onnx.hard_cases import conditions, random_eyes, random_poses, rece
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader
+from torchprt.words import count
 
 Module: TypeAlias = Shader | EnvironmentShader | FixedLightShader
 
@@ -62,7 +63,8 @@ class ParityReport:
         verdict = "same" if self.passed else "NOT the same"
         return (
             f"{verdict}: relative RMS {self.relative_rms:.1e}, largest {self.max_error:.1e} of the largest radiance, "
-            f"tolerance {self.tolerance:.1e}, {self.cases} lights in batches of {', '.join(map(str, self.batches))}"
+            f"tolerance {self.tolerance:.1e}, {count(self.cases, 'light')} in batches of "
+            f"{', '.join(map(str, self.batches))}"
         )
 
 

@@ -20,12 +20,14 @@ from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
+from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
+from torchprt.words import count
 
-MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
+MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
 BACKDROPS = ("plain", "environment", "environment in bands")
@@ -151,7 +153,7 @@ class Session:
             self.seconds if self.follows_pose else None,
         )
         if self._shown is None or self._shown[0] != key:
-            self._shown = key, self._error() if self.mode == "error" else self._display(self.radiance())
+            self._shown = key, self._make_colours()
         return self._shown[1]
 
     def backdrop_image(self) -> Float[Tensor, "H W 3"] | None:
@@ -176,13 +178,16 @@ class Session:
         shown = self._stored()
         bake = self._all[shown]
         lines = [
-            f"{self.mode}: {shown}" + ("" if self.mode in UNBAKED else f", {bake.transport}, {bake.bounces} bounces"),
-            f"light: {self.environments[self.environment].name}, {self.order} of {self.highest} bands, "
+            f"{self.mode}: {shown}"
+            + ("" if self.mode in UNBAKED else f", {bake.transport}, {count(bake.bounces, 'bounce')}"),
+            f"light: {self.environments[self.environment].name}, {self.order} of {count(self.highest, 'band')}, "
             f"window {self.window}",
             f"exposure {self.stops:+.1f} stops",
         ]
         if self.mode == "error" and self.worst is not None:
             lines.append(f"error {self.worst:.2%} RMS, red is {self._most():.2%}")
+        if self.mode == "sight":
+            lines += sight_legend(bake.receivers)
         return lines
 
     # Changes
@@ -222,7 +227,7 @@ class Session:
         """The next of the bakes that were given: without interreflection, with it."""
         self.bake = _after(list(self.bakes or self.compressed), self.bake)
         bake = self._all[self.bake]
-        return f"bake: {self.bake}, {bake.transport}, {bake.bounces} bounces"
+        return f"bake: {self.bake}, {bake.transport}, {count(bake.bounces, 'bounce')}"
 
     def next_backdrop(self) -> str:
         self.backdrop = _after(BACKDROPS, self.backdrop)
@@ -283,7 +288,7 @@ class Session:
 
     def _stored(self) -> str:
         """The name of the bake that is shaded in the present mode."""
-        if self.mode in ("transfer", *UNBAKED):
+        if self.mode in ("transfer", "sight", *UNBAKED):
             return self.bake
         return self.packed or self._compress(self.bake)
 
@@ -316,6 +321,11 @@ class Session:
 
     def _pose(self) -> Tensor | None:
         return self.positions if self.follows_pose and self.positions is not self.rest else None
+
+    def _make_colours(self) -> Tensor:
+        if self.mode == "sight":
+            return sight_colours(self._all[self.bake].receivers)
+        return self._error() if self.mode == "error" else self._display(self.radiance())
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""

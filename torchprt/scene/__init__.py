@@ -14,6 +14,7 @@ from .points import Points
 from .reading import read_mesh
 from .rig import Rig
 from .scene import Requirements, Scene, load
+from .scene_file import read_scene
 
 __all__ = [
     "EnergyWarning",
@@ -34,6 +35,7 @@ __all__ = [
     "read_heights",
     "read_material",
     "read_mesh",
+    "read_scene",
     "samples",
     "tiled",
     "twist",

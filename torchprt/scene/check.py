@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from torchprt.words import count
+
 from .weld import edges, weld
 
 FLAT = 1e-7
@@ -53,9 +55,9 @@ class MeshReport:
         return not (self.boundary_edges or self.nonmanifold_edges or self.flipped_edges)
 
     def __str__(self) -> str:
-        pieces = _count(self.components, "piece")
+        pieces = count(self.components, "piece")
         lines = [
-            f"{_count(self.vertices, 'vertex', 'vertices')}, {_count(self.faces, 'face')} in {pieces}, "
+            f"{count(self.vertices, 'vertex')}, {count(self.faces, 'face')} in {pieces}, "
             "extent " + " x ".join(f"{length:.6g}" for length in self.extent) + "."
         ]
         if self.watertight:
@@ -63,35 +65,29 @@ class MeshReport:
         if self.inside_out:
             lines.append("It is inside out: faces turn their backs outward, which block light and reflect none.")
         if self.boundary_edges:
-            lines.append(f"{_count(self.boundary_edges, 'edge')} with one face: the surface is open there.")
+            lines.append(f"{count(self.boundary_edges, 'edge')} with one face: the surface is open there.")
         if self.nonmanifold_edges:
-            lines.append(f"{_count(self.nonmanifold_edges, 'edge')} with more than two faces.")
+            lines.append(f"{count(self.nonmanifold_edges, 'edge')} with more than two faces.")
         if self.flipped_edges:
-            lines.append(f"{_count(self.flipped_edges, 'edge')} between faces wound in opposite senses.")
+            lines.append(f"{count(self.flipped_edges, 'edge')} between faces wound in opposite senses.")
         if self.degenerate_faces:
-            lines.append(f"{_count(self.degenerate_faces, 'face')} without area: kept.")
+            lines.append(f"{count(self.degenerate_faces, 'face')} without area: kept.")
         if self.duplicate_vertices:
-            lines.append(f"{_count(self.duplicate_vertices, 'vertex', 'vertices')} at the position of another: kept.")
+            lines.append(f"{count(self.duplicate_vertices, 'vertex')} at the position of another: kept.")
         if self.unreferenced_vertices:
-            lines.append(f"{_count(self.unreferenced_vertices, 'vertex', 'vertices')} named by no face: kept.")
+            lines.append(f"{count(self.unreferenced_vertices, 'vertex')} named by no face: kept.")
         if self.computed_normals:
-            lines.append(f"{_count(self.computed_normals, 'normal')} computed from the faces.")
+            lines.append(f"{count(self.computed_normals, 'normal')} computed from the faces.")
         if self.opposed_normals:
-            lines.append(f"{_count(self.opposed_normals, 'normal')} pointing to the back of the faces: kept.")
+            lines.append(f"{count(self.opposed_normals, 'normal')} pointing to the back of the faces: kept.")
         if self.missing_normals:
-            lines.append(
-                f"{_count(self.missing_normals, 'vertex', 'vertices')} without a usable normal: will receive no light."
-            )
+            lines.append(f"{count(self.missing_normals, 'vertex')} without a usable normal: will receive no light.")
         if self.missing_tangents:
             lines.append(
-                f"{_count(self.missing_tangents, 'vertex', 'vertices')} whose texture coordinates give no tangent: "
+                f"{count(self.missing_tangents, 'vertex')} whose texture coordinates give no tangent: "
                 "glossy surfaces take a smooth field there."
             )
         return "\n".join(lines)
-
-
-def _count(number: int, noun: str, plural: str = "") -> str:
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def check(

@@ -55,6 +55,10 @@ class Geometry:
     partner: Int64[Tensor, "V"]
     """The receiver on the other side of a translucent surface; -1 where nothing comes through."""
     translucency: Float32[Tensor, "V"]
+    names: tuple[str, ...]
+    """Of the mesh of each object of the scene."""
+    roles: tuple[str, ...]
+    """Of each object of the scene."""
     tangent_fields: tuple[str, ...]
     """For each object of the scene where its tangents come from: "uv", "smooth", or "" if it is not glossy."""
 
@@ -120,6 +124,8 @@ def gather(objects: Sequence[Object]) -> Geometry:
         translucency=torch.cat(
             [torch.zeros(0), *(torch.full((len(o.mesh.positions),), float(o.material.translucency)) for o in both)]
         ),
+        names=tuple(object.mesh.name for object in objects),
+        roles=tuple(object.role for object in objects),
         tangent_fields=tuple(object.tangent_field for object in objects),
     )
 

@@ -12,6 +12,8 @@ from torchprt.errors import InputError
 from .material import Material, differs
 from .mesh import Mesh
 
+ROLES = ("receiver", "blocker", "ground")
+
 
 class TangentWarning(UserWarning):
     """A surface whose streaks have a direction that nothing in its mesh says."""
@@ -21,7 +23,8 @@ class TangentWarning(UserWarning):
 class Object:
     """A mesh with a material and a role.
 
-    A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it.
+    A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it. A "ground" is a receiver
+    that pictures are not about: they frame what stands on it.
 
     Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
@@ -32,8 +35,8 @@ class Object:
     role: str = "receiver"
 
     def __post_init__(self) -> None:
-        if self.role not in ("receiver", "blocker"):
-            raise InputError(f'role {self.role!r} is not known: give "receiver" or "blocker"')
+        if self.role not in ROLES:
+            raise InputError(f'role {self.role!r} is not known: give "receiver", "blocker" or "ground"')
         if self.receives:
             self.material.albedo_of(self.mesh)
             self.material.specular_of(self.mesh)
@@ -49,7 +52,7 @@ class Object:
 
     @property
     def receives(self) -> bool:
-        return self.role == "receiver"
+        return self.role != "blocker"
 
     @property
     def albedo(self) -> Float32[Tensor, "V C"]:

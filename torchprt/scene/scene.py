@@ -63,6 +63,18 @@ class Scene:
         kind: Literal["diffuse", "glossy"] = "glossy" if any(each.glossy for each in self.objects) else "diffuse"
         return Requirements(kind=kind, channels=3 if bounces and coloured else 1, bounces=bounces)
 
+    def on_ground(self, height: float | None = None, albedo: Albedo = 0.5) -> "Scene":
+        """The same on a ground that receives its shadow: a disc at `height` along +y, of that albedo.
+
+        At the lowest point of the receivers by default. It is eight times as wide as the model, fine below it and
+        coarser outward. Pictures fade it out and do not frame it, and models leave it out unless asked.
+        Raises InputError if there is a ground already, `height` is not finite or nothing reaches above it, or if the
+        albedo is outside [0, 1].
+        """
+        from .ground import ground
+
+        return Scene([*self.objects, *ground(self.objects, height, albedo)])
+
     def geometry(self) -> Geometry:
         """All objects as one set of tensors."""
         return gather(self.objects)
@@ -99,18 +111,39 @@ def load(
 
     `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files; `material` a
     material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file. An albedo given beside it
-    replaces that of the material, and `two_sided` adds to it.
+    replaces that of the material, and `two_sided` adds to it. The name of a .toml file alone is that of a whole scene,
+    as `read_scene` reads it; it says its materials itself.
 
-    Raises InputError as `read_mesh`, `read_material` and `Material` do, and if there is no mesh.
+    Raises InputError as `read_mesh`, `read_scene`, `read_material` and `Material` do, if there is no mesh, or if a
+    scene comes with other meshes or a material.
     """
+    scenes = [each for each in _several(sources) if not isinstance(each, Mesh) and is_scene(each)]
+    if scenes:
+        if len(_several(sources)) > 1 or albedo is not None or material is not None or two_sided:
+            raise InputError(
+                f"{scenes[0]} is a scene, which says its meshes and their materials itself: leave other meshes, "
+                "albedo, material and two_sided out"
+            )
+        from .scene_file import read_scene
+
+        scene = read_scene(scenes[0])
+        return Scene([*scene.objects, *_blocking(blockers)]) if _several(blockers) else scene
     material = read_material(material) if isinstance(material, str) else material or Material(albedo)
     changes: dict[str, Any] = {"two_sided": True} if two_sided else {}
     if albedo is not None:
         changes["albedo"] = albedo
     material = replace(material, **changes)
     receiving = [Object(_mesh(source), material) for source in _several(sources)]
-    blocking = [Object(_mesh(source), Material(0.0), "blocker") for source in _several(blockers)]
-    return Scene(receiving + blocking)
+    return Scene(receiving + _blocking(blockers))
+
+
+def is_scene(source: str | os.PathLike[str]) -> bool:
+    """Whether a file is one of a whole scene, by its name."""
+    return os.fspath(source).lower().endswith(".toml")
+
+
+def _blocking(blockers: Source | Sequence[Source]) -> list[Object]:
+    return [Object(_mesh(source), Material(0.0), "blocker") for source in _several(blockers)]
 
 
 def _several(sources: Source | Sequence[Source]) -> Sequence[Source]:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, only_values_are_wanted
+from torchprt.sh.constant import constant
 from torchprt.sh.hemisphere import DISCARDED
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
@@ -123,7 +124,7 @@ def _in_place(xyz: Tensor, tables: tuple[Tensor, ...], order: int) -> Tensor:
     return rows
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
     # As in `basis`: a cache would leak traced tensors into later calls.
     build = _build_tables if torch.compiler.is_compiling() else _cached_tables

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh.constant import constant
 
 # From here on the recurrence runs in float64 even for float32 input.
 _LAST_FLOAT32_ORDER = 20
@@ -55,7 +56,7 @@ def rotation_matrix(rotation: Float[Tensor, "*B 3 3"], order: int) -> Float[Tens
     return torch.cat([pad(band, (l * l, order * order - (l + 1) ** 2)) for l, band in enumerate(bands)], dim=-2)
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     build = _build_coupling if torch.compiler.is_compiling() else _cached_coupling
     return build(l, dtype, device)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, order_of
+from torchprt.sh.constant import constant
 from torchprt.sh.quadrature import gauss_legendre
 
 # Rounding of the quadrature stays below 1e-14, and the smallest Gaunt coefficient up to order 32 above 1e-6.
@@ -68,12 +69,12 @@ def _gaunt(order_a: int, order_b: int, order_c: int) -> Tensor:
     return torch.where(values.abs() > _NOTHING, values, 0.0)
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _gaunt_like(order_a: int, order_b: int, order_c: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     return _gaunt(order_a, order_b, order_c).to(device, dtype)
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _tables(order_a: int, order_b: int, order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     build = _build_tables if torch.compiler.is_compiling() else _cached_tables
     return build(order_a, order_b, order, dtype, device)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
+from torchprt.sh.constant import constant
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
 
@@ -54,8 +55,8 @@ class Rotation(torch.nn.Module):
         super().__init__()
         self.order = order
         constants = _build_constants(order, dtype, torch.device("cpu"))
-        for name, constant in zip(("points", "parity", "project"), constants, strict=True):
-            self.register_buffer(name, constant, persistent=False)
+        for name, values in zip(("points", "parity", "project"), constants, strict=True):
+            self.register_buffer(name, values, persistent=False)
 
     def forward(self, light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) -> Float[Tensor, "... N C"]:
         return _turn(light, rotation, (self.points, self.parity, self.project), self.order)
@@ -99,7 +100,7 @@ def _turn(light: Tensor, rotation: Tensor, constants: tuple[Tensor, Tensor, Tens
     return (values.reshape(*values.shape[:-2], channels, halves * points.shape[0]) @ project).mT
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _constants(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
     build = _build_constants if torch.compiler.is_compiling() else _cached_constants
     return build(order, dtype, device)

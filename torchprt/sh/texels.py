@@ -14,6 +14,7 @@ from torch.nn.functional import linear
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis
+from torchprt.sh.constant import constant
 from torchprt.sh.matrices import rotation_matrix
 
 Weights = Literal["normalised", "paper", "exact"]
@@ -153,7 +154,7 @@ def _weighted(directions: Tensor, area: Tensor, order: int, dtype: torch.dtype) 
     return (basis(directions, order).mT * area).to(dtype)
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _cube_table(order: int, size: int, weights: Weights, dtype: torch.dtype, device: torch.device) -> Tensor:
     build = _build_cube_table if torch.compiler.is_compiling() else _cached_cube_table
     return build(order, size, weights, dtype, device)
@@ -167,7 +168,7 @@ def _build_cube_table(order: int, size: int, weights: Weights, dtype: torch.dtyp
 _cached_cube_table = functools.lru_cache(maxsize=4)(torch.inference_mode(False)(_build_cube_table))
 
 
-@torch.compiler.assume_constant_result
+@constant
 def _latlong_tables(
     order: int, height: int, width: int, dtype: torch.dtype, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -17,6 +17,7 @@ from torchprt.shade.fixed_light import FixedLightShader
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
 from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Transfer
+from torchprt.words import count
 
 
 class Shader(nn.Module):
@@ -254,8 +255,8 @@ def _learned(transfer: Transfer, learnable: Mapping[str, list[str]], learn: tupl
         for each in found:
             if name == transfer.layers[each].weight_name and transfer.bounces > 0:
                 raise InputError(
-                    f"{name} cannot be learned: {transfer.bounces} bounces are baked with it into what other surfaces "
-                    "receive; bake without bounces"
+                    f"{name} cannot be learned: {count(transfer.bounces, 'bounce')} of the bake took it into what "
+                    "other surfaces receive; bake without bounces"
                 )
             learned[each].add(name)
     return learned

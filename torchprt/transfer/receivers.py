@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import abc
 import enum
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -33,6 +34,16 @@ class Receivers(Part, abc.ABC):
     def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
         """Values of the receivers in the order that they have in what was baked."""
         return values
+
+    def ground(self) -> Bool[Tensor, "V"]:
+        """Which of them are of a ground: pictures are about the others."""
+        return torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
+
+    @property
+    def subject(self) -> Float[Tensor, "v 3"]:
+        """The positions that pictures are about and frame: all but the ground, unless there is nothing else."""
+        model = ~self.ground()
+        return self.positions[model] if bool(model.any()) else self.positions
 
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
@@ -65,6 +76,9 @@ class Vertices(Receivers):
     - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
       None.
     - `sight [V]`: how each came to its transfer, a number of `Sight`, uint8; None if all are valid or nobody looked.
+    - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
+      "ground"), `side` ("front" or "back") and its `rows`, [first, one past the last], in the order of the mesh. Empty
+      if nothing is known of it.
     """
 
     kind: ClassVar[str] = "vertices"
@@ -81,6 +95,39 @@ class Vertices(Receivers):
     faces: Tensor
     original: Tensor | None = None
     sight: Tensor | None = None
+    objects: Sequence[dict[str, Any]] = field(default_factory=list)
+
+    def metadata(self) -> dict[str, Any]:
+        return {"objects": list(self.objects)} if self.objects else {}
+
+    def ground(self) -> Bool[Tensor, "V"]:
+        found = super().ground()
+        for each in self.objects:
+            if each["role"] == "ground":
+                found[slice(*each["rows"])] = True
+        return found if self.original is None else found[self.original.long()]
+
+    def take(self, index: Int[Tensor, "v"]) -> Vertices:
+        """Those that `index` names, each once and ascending, and the faces between them."""
+        place = torch.full((self.count,), -1, device=index.device)
+        place[index] = torch.arange(len(index), device=index.device)
+        corners = place[self.faces.long()]
+        taken = {
+            name: getattr(self, name)[index]
+            for name, layout in self.layouts.items()
+            if layout.shape[0] == "V" and getattr(self, name) is not None
+        }
+        kept = torch.zeros(self.count, dtype=torch.long, device=index.device)
+        kept[index if self.original is None else self.original[index].long()] = 1
+        before = [0, *kept.cumsum(0).tolist()]
+        if self.original is not None:
+            taken["original"] = taken["original"].argsort().argsort().to(self.original.dtype)
+        objects = [{**each, "rows": [before[row] for row in each["rows"]]} for each in self.objects]
+        return self.replace(
+            **taken,
+            faces=corners[(corners >= 0).all(-1)].to(self.faces.dtype),
+            objects=[each for each in objects if each["rows"][0] < each["rows"][1]],
+        )
 
     def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
         return values if self.original is None else values[..., self.original.argsort(), :]
@@ -89,6 +136,11 @@ class Vertices(Receivers):
         """InputError if a tensor holds NaN or infinity, or an index names no vertex."""
         super().check(of)
         check_indices("faces", self.faces, self.count)
+        for each in self.objects:
+            if not {"name", "role", "side", "rows"} <= each.keys() or not 0 <= each["rows"][0] <= each["rows"][1]:
+                raise InputError(f"objects of the transfer hold {each}, which names no rows: bake it again")
+            if each["rows"][1] > self.count:
+                raise InputError(f"objects of the transfer name receiver {each['rows'][1]} of {self.count}: bake again")
         if self.sight is not None and bool((self.sight > max(Sight)).any()):
             raise InputError(f"sight of the transfer has numbers above {max(Sight):d}: a newer torchprt wrote it")
         order = self.original

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
+from torchprt.transport.bounces import Bounces, check_bounces, followed
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
 from torchprt.transport.diffuse_tasks import Job, Record
@@ -43,7 +43,7 @@ def bake(
     *,
     order: int = 5,
     rays: int = 1024,
-    bounces: int | float = 0,
+    bounces: Bounces = 0,
     shadows: bool = True,
     receivers: Points | None = None,
     seed: int = 0,
@@ -63,8 +63,10 @@ def bake(
 
     - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
       rays take four times the time for a third of the error.
-    - `bounces`: 0 for shadows alone, a count, or `math.inf` to follow light until a bounce adds less than 1e-4 of
-      the transfer. `shadows=False` gives the closed form without any ray.
+    - `bounces`: 0 for shadows alone, a count, `math.inf` to follow light until a bounce adds less than 1e-4 of the
+      transfer (RMS), or "auto" until one adds less than 1e-2, which is none at all where nothing reflects, without
+      shadows and in the frame "visibility". `bounces` of the result is how many it took. `shadows=False` gives the
+      closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
@@ -107,7 +109,8 @@ def bake(
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
-    is_glossy = scene.requires(bounces).kind == "glossy"
+    is_glossy = scene.requires().kind == "glossy"
+    bounces, enough = followed(bounces, geometry, can=shadows and not (is_glossy and frame == "visibility"))
     if is_glossy:
         bake_glossy.check(wanted, geometry, bounces)
     elif wanted != Wanted("exit", order, "optimal", None, order):
@@ -125,7 +128,7 @@ def bake(
     everything, validity = vertex_receivers(geometry, tracer), None
     if not raw:
         geometry, everything, validity = with_sight(geometry, tracer, everything)
-    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity)
+    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -182,7 +185,7 @@ def _diffuse(
 def _check(
     order: int,
     rays: int,
-    bounces: int | float,
+    bounces: Bounces,
     shadows: bool,
     seed: int,
     threads: int | None,
@@ -192,9 +195,8 @@ def _check(
         raise InputError(f"order is {order}: give a number from 1 to 64")
     if not 1 <= rays <= 1 << 22:
         raise InputError(f"rays is {rays}: give a number from 1 to {1 << 22}")
-    if not bounces >= 0 or (bounces != math.inf and bounces != int(bounces)):
-        raise InputError(f"bounces is {bounces}: give 0, a whole number or infinity")
-    if bounces and not shadows:
+    check_bounces(bounces)
+    if bounces not in (0, "auto") and not shadows:
         raise InputError("bounces need shadows: leave one of the two options out")
     if seed < 0:
         raise InputError(f"seed is {seed}: give a number from 0")
@@ -255,6 +257,7 @@ def _store(
         # What the points gather has bounced already; elsewhere bounces and albedo enter after tracing.
         contents += [points.positions, points.normals, geometry.albedo]
         parameters["bounces"] = bounces
+        parameters["enough"] = job.enough
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:
         yield store

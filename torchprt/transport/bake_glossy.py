@@ -116,6 +116,9 @@ def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | f
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
     solution = solve(task, bounces, stages)
+    if not solution.bounces and job.channels > 1:
+        job = dataclasses.replace(job, channels=1)
+        task = dataclasses.replace(task, job=dataclasses.replace(task.job, channels=1))
     error, signal = glossy_error_and_signal(task, solution, stages)
     transfer = _transfer(
         geometry,

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchprt.trace import Tracer
 from torchprt.transport.bounce import Gather, Surfaces, shadowed_with_hits
+from torchprt.transport.bounces import SPENT
 from torchprt.transport.diffuse import projection, shadowed
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.membrane import Sheets
@@ -19,7 +20,9 @@ from torchprt.transport.validity import Validity
 
 @dataclass
 class Job:
-    """What a bake is made of, and nothing that changes while it runs."""
+    """What a bake is made of, and nothing that changes while it runs.
+
+    `enough`: endless bounces end when one adds less than this part of the transfer (RMS)."""
 
     tracer: Tracer
     surfaces: Surfaces
@@ -30,6 +33,7 @@ class Job:
     channels: int
     sheets: Sheets | None = None
     validity: Validity | None = None
+    enough: float = SPENT
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:

@@ -28,11 +28,17 @@ def diffuse(
 
 
 def vertices(geometry: Geometry, validity: Validity | None = None) -> Vertices:
-    """The receivers of a scene, and how they see unless all are valid."""
+    """The receivers of a scene, of which objects they are, and how they see unless all are valid."""
     found = _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
-    if validity is None or not bool(validity.sight.any()):
-        return found
-    return dataclasses.replace(found, sight=validity.sight)
+    sides = (("front", geometry.slices), ("back", geometry.back_slices))
+    objects = [
+        {"name": name, "role": role, "side": side, "rows": [rows.start, rows.stop]}
+        for side, slices in sides
+        for name, role, rows in zip(geometry.names, geometry.roles, slices, strict=True)
+        if rows.stop > rows.start
+    ]
+    sight = None if validity is None or not bool(validity.sight.any()) else validity.sight
+    return dataclasses.replace(found, objects=objects, sight=sight)
 
 
 def uniform(weights: Tensor) -> Tensor:

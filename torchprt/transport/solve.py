@@ -17,9 +17,6 @@ from torchprt.transport.receivers import Receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
 
-# Light that bounces without end is followed until a bounce adds less than this part of the transfer (RMS).
-ENERGY = 1e-4
-
 
 @dataclass
 class Solution:
@@ -99,12 +96,15 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
         added = torch.empty_like(total)
         for task, found in stages.run(f"bounce {count + 1}", tasks, stages.store, exitant):
             added[task.index] = found["arriving"]
+        if bounces == math.inf and not count and not bool(added.any()):
+            # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
+            return Solution(job.through(direct.T).T[None], direct[None])
         job.filled(added)
         # The sum of all bounces is one more gather from the sum of all but the last.
         sent = scale * job.through(total)
         total = total + added
         count += 1
-        if bounces == math.inf and added.norm() <= ENERGY * total.norm():
+        if bounces == math.inf and added.norm() <= job.enough * total.norm():
             break
     arriving = channels_first(total, job.channels)
     shown = arriving if job.sheets is None else channels_first(job.through(total), job.channels)

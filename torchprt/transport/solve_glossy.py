@@ -10,7 +10,6 @@ from torch import Tensor
 
 from torchprt.transport.glossy import Exitant
 from torchprt.transport.glossy_tasks import GlossyBounce, GlossyJob, GlossyTrace, Recorded
-from torchprt.transport.solve import ENERGY
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
 
@@ -50,9 +49,13 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
         if len(recorded) > 1 and count == bounces - 1:
             break
         added = _bounce(task, exitant(task, added), recorded[0], stages, count + 1)
+        if bounces == math.inf and not count and not added.norm():
+            # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
+            last, columns = direct[-1], task.job.order**2
+            return GlossySolution(Arrived(last.diffuse[:, :columns], last.matrix[..., : task.recording.columns]))
         total = Arrived(total.diffuse + added.diffuse, total.matrix + added.matrix)
         count += 1
-        if bounces == math.inf and added.norm() <= ENERGY * total.norm():
+        if bounces == math.inf and added.norm() <= task.job.enough * total.norm():
             break
     if len(recorded) == 1:
         return GlossySolution(total, sent, count)

@@ -28,6 +28,7 @@ from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.libraries import libraries
 from torchprt.web.mesh import save_small_glb
 from torchprt.web.packing import pack
+from torchprt.words import count
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
 SHADOWS, COMPRESSION = 1.0, 0.1
@@ -208,7 +209,7 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
 
 
 def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
-    bounces = f", {full.bounces} {'bounce' if full.bounces == 1 else 'bounces'}" if full.bounces else ""
+    bounces = f", {count(full.bounces, 'bounce')}" if full.bounces else ""
     about: dict[str, Any] = {
         "torchprt": VERSION,
         "title": title,

@@ -1,14 +1,15 @@
-// From linear radiance to what a screen shows, as torchprt/shade/display.py: exposure, filmic tone map, sRGB.
+// From linear radiance to what a screen shows, as torchprt/shade/display.py: exposure, tone map, sRGB.
 // three.js is told to convert nothing: these values go to the canvas as they are.
 
 export const DISPLAY = /* glsl */ `
-vec3 filmic(vec3 radiance) {
+vec3 neutral(vec3 radiance) {
   vec3 x = max(radiance, 0.0);
-  vec3 small = min(x, 1.0);
-  vec3 large = 1.0 / max(x, 1.0);
-  vec3 below = small * (2.51 * small + 0.03) / (small * (2.43 * small + 0.59) + 0.14);
-  vec3 above = (2.51 + 0.03 * large) / (2.43 + large * (0.59 + 0.14 * large));
-  return min(mix(below, above, vec3(greaterThan(x, vec3(1.0)))), 1.0);
+  float low = min(min(x.r, min(x.g, x.b)), 0.08);
+  x -= low - low * low / 0.16;
+  float peak = max(x.r, max(x.g, x.b));
+  if (peak < 0.76) return x;
+  float pressed = 1.0 - 0.0576 / (peak - 0.52);
+  return mix(x * (pressed / peak), vec3(pressed), 1.0 - 1.0 / (0.15 * (peak - pressed) + 1.0));
 }
 
 vec3 srgb(vec3 radiance) {

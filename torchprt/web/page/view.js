@@ -25,7 +25,7 @@ const surface = () =>
       centroid varying vec3 shown; // not extrapolated at the edges of triangles
       ${DISPLAY}
       void main() {
-        gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(filmic(shown * exp2(exposure))), 1.0);
+        gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(neutral(shown * exp2(exposure))), 1.0);
       }`,
   });
 
