@@ -167,9 +167,10 @@ def reflections(bakes: list[Transfer], lamps: Tensor) -> Tensor:
 def eyes(transfer: Transfer, lamps: Tensor) -> Tensor:
     """A glossy surface from six sides under one light: highlights move over it with the eye."""
     pictures, labels = [], []
+    # One orbit for all: the model stands still while the eye goes around it.
+    orbit = preview.Orbit.around(transfer.positions, (0.0, 0.5, 1.0), aspect=1.0, sides=6)
     for angle in range(0, 360, 60):
-        turn = math.radians(angle)
-        camera = preview.frame(transfer.positions, (math.sin(turn), 0.5, math.cos(turn)), aspect=1.0)
+        camera = orbit.turned(-math.radians(angle), 0.0).camera()
         still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
         pictures.append(still.picture(_shade(transfer, lamps, camera), exposure=EXPOSURE - 1))
         labels.append(f"eye at {angle} degrees from +z to +x")

@@ -419,7 +419,7 @@ def test_a_transfer_that_cannot_be_used(name, refused, folder, tmp_path):
 @pytest.mark.parametrize(
     ("option", "text"),
     [
-        *(("--rotate", text) for text in ("90", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "inf,0,0", "")),
+        *(("--rotate", text) for text in ("1,2,3,4", "1,,2", "a,b,c", "nan,0,0", "inf,0,0", "")),
         *(("--size", text) for text in ("800", "0x600", "800x0", "-1x5", "800,600", "99999x9", "x", "²x3", "1.5x2")),
         *(("--view", text) for text in ("0,0,0", "1,2", "x,y,z", "nan,0,1", "")),
         *(("--window", text) for text in ("hamming", "Hann", "")),

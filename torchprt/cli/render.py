@@ -16,6 +16,7 @@ from torchprt.files import check_writable
 from torchprt.words import count
 
 MOST = 720
+SHOWN = ("radiance", "sight")
 
 
 def render(
@@ -39,6 +40,9 @@ def render(
     backdrop: asked.Backdrop = None,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
+    show: Annotated[
+        str, typer.Option(help="radiance, or sight: which vertices could look out when they were baked.")
+    ] = SHOWN[0],
     rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
     material: Annotated[
         str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
@@ -80,6 +84,7 @@ def render(
         tone=tone,
         repair=repair,
     )
+    options.choice(show, "--show", SHOWN)
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if not 0 < rate <= 50:
@@ -95,7 +100,8 @@ def render(
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment)
+    colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
+    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:
@@ -107,5 +113,10 @@ def render(
     else:
         preview.save_png(preview.strip(pictures), output)
     shape = "{} x {}".format(*picture.size)
-    made = f"{count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops"
-    say(f"{output}: {made}, under {environment.name}")
+    made = f"{output}: {count(len(pictures), 'picture')} of {shape}"
+    if show == "sight":
+        for line in preview.sight_legend(loaded.receivers):
+            say(line)
+        say(f"{made}, sight of the vertices")
+        return
+    say(f"{made}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

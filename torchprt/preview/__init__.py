@@ -16,6 +16,7 @@ from .picture import Still, save_png
 from .relight import Relight
 from .session import Session
 from .sheet import sheet
+from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
 from .window import check_window, show
 
@@ -51,6 +52,8 @@ __all__ = [
     "seen_along",
     "sheet",
     "show",
+    "sight_colours",
+    "sight_legend",
     "strip",
     "subject",
     "tone_map",
