@@ -222,7 +222,8 @@ def _ply_materials(raw: Raw, data: bytes, source: Path) -> Raw:
     left = ["further pictures"] if len(named) > 1 else []
     # Scanners write the same colours twice, in a picture and coarser at the vertices.
     left += ["vertex colours"] if raw.colours is not None else []
-    paint = Paint(named[0], colour_map=picture_map(source.parent / named[0]), reflectance=(0, 0, 0), left=tuple(left))
+    picture = picture_map(source.parent / named[0])
+    paint = Paint(named[0], colour_map=picture, reflectance=(0.0, 0.0, 0.0), left=tuple(left))
     return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, Paint("no material")))
 
 

@@ -147,10 +147,9 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     paints = read_paints(raw, path)
     if raw.materials is None or not paints:
         return Surface(mesh, paints, np.full(len(mesh.faces), len(paints) - 1 if paints else 0), raw)
-    which = np.where(raw.materials < 0, len(paints) - 1, raw.materials)
-    if which.max(initial=0) >= len(paints):
-        raise InputError(f"{path} names material {which.max()} of {len(paints) - 1}: export the mesh again")
-    return Surface(mesh, paints, which, raw)
+    if raw.materials.max(initial=-1) >= len(paints) - 1:
+        raise InputError(f"{path} names material {raw.materials.max()} of {len(paints) - 1}: export the mesh again")
+    return Surface(mesh, paints, np.where(raw.materials < 0, len(paints) - 1, raw.materials), raw)
 
 
 def _sums(

@@ -70,7 +70,7 @@ class Texture:
     def _level(self, level: int) -> Float32[Tensor, "C _ _"]:
         while len(self._smaller) < level:
             inner = (self._smaller[-1] if self._smaller else self.planes)[:, 1:-1, 1:-1]
-            half = [-(-extent // 2) for extent in inner.shape[1:]]
+            half = (-(-inner.shape[1] // 2), -(-inner.shape[2] // 2))
             self._smaller.append(bordered(torch.nn.functional.adaptive_avg_pool2d(inner[None], half)[0], self.wrap))
         return self._smaller[level - 1]
 
