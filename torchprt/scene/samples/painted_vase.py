@@ -11,11 +11,12 @@ from torchprt.errors import InputError
 from torchprt.files import atomic
 
 from ..material import Material
-from ..mesh import Mesh
+from ..mesh import Mesh, make_mesh
 from ..object import Object
 from ..scene import Scene
 from ..surface import texture_albedo
-from .vase import vase
+from .lathe import lathe, smooth_profile
+from .vase import PROFILE
 
 PORCELAIN, COBALT, CORAL = (236, 231, 219), (32, 58, 132), (196, 84, 58)
 """sRGB."""
@@ -23,24 +24,40 @@ PORCELAIN, COBALT, CORAL = (236, 231, 219), (32, 58, 132), (196, 84, 58)
 GOLD = (1.0, 0.766, 0.336)
 """Linear, of the metal."""
 
-FOOT, SHOULDER, LIP, INSIDE = 0.075, 0.4, 0.492, 0.56
-"""Along the profile: where the gold of the foot ends, the painting, where the gold of the lip begins and ends."""
+FOOT, BELLY, LIP, INSIDE = 0.078, 0.25, 0.492, 0.56
+"""Along the profile: where the gold of the foot ends, the middle of the painting, where the gold of the lip begins and
+ends."""
 
 
-def painted_vase(resolution: int = 192) -> Scene:
-    """The vase of `vase`, of porcelain painted in cobalt and coral, its foot and lip gilded.
+AROUND = 0.85
+"""How far the belly is around, in units of v: what keeps motifs in shape."""
 
-    The colours of its vertices are means of `vase_picture` over the surface around each. `write_painted_vase` writes
-    the same as a .glb of two materials and a texture.
+
+def painted_vase(resolution: int = 128) -> Scene:
+    """The shape of `vase`, of porcelain painted in cobalt and coral, its foot and lip gilded.
+
+    2 `resolution` columns around, and rows of the same size on its outside. The colours of its vertices are means of
+    `vase_picture` over the surface around each. `write_painted_vase` writes it as a .glb of two materials.
 
     Raises InputError if `resolution` is below 16.
     """
-    mesh = vase(resolution).objects[0].mesh
+    mesh = _mesh(resolution)
     albedo = texture_albedo(mesh, vase_picture())
     gold = np.zeros(len(mesh.positions), dtype=bool)
     gold[mesh.faces.numpy()[gilded(mesh)]] = True
     albedo[gold] = albedo.new_tensor(GOLD)
     return Scene([Object(mesh, Material(albedo))])
+
+
+def _mesh(resolution: int) -> Mesh:
+    if resolution < 16:
+        raise InputError(f"resolution is {resolution}: give at least 16")
+    rows = 3 * resolution
+    # A third of the rows inside, where nothing is painted.
+    kept = np.unique(np.append([row for row in range(rows) if row < INSIDE * rows or row % 3 == 0], rows))
+    positions, faces, uv = lathe(smooth_profile(PROFILE, rows)[kept], 2 * resolution)
+    uv[..., 1] = np.interp(uv[..., 1], np.linspace(0, 1, len(kept)), kept / rows)
+    return make_mesh(positions, faces, name="painted vase", uv=uv)
 
 
 def gilded(mesh: Mesh) -> Bool[np.ndarray, "F"]:
@@ -50,7 +67,7 @@ def gilded(mesh: Mesh) -> Bool[np.ndarray, "F"]:
     return (along < FOOT) | ((along > LIP) & (along < INSIDE))
 
 
-def write_painted_vase(path: str | os.PathLike[str], resolution: int = 192) -> None:
+def write_painted_vase(path: str | os.PathLike[str], resolution: int = 128) -> None:
     """Writes the vase as a .glb: "porcelain" with a texture of sRGB, and the metal "gold".
 
     Raises InputError if `resolution` is below 16, or if the file cannot be written.
@@ -62,7 +79,7 @@ def write_painted_vase(path: str | os.PathLike[str], resolution: int = 192) -> N
 
     if os.path.splitext(path)[1].lower() != ".glb":
         raise InputError(f"{os.fspath(path)} must end in .glb")
-    mesh = vase(resolution).objects[0].mesh
+    mesh = _mesh(resolution)
     assert mesh.uv is not None
     faces, uv, normals = mesh.faces.numpy(), mesh.uv.numpy(), mesh.normals.numpy()
     picture = PIL.Image.open(io.BytesIO(_png(vase_picture())))
@@ -119,45 +136,42 @@ def vase_picture(size: int = 1024) -> UInt8[np.ndarray, "size size 3"]:
 
 def _cobalt(u: Float32[np.ndarray, "H W"], v: Float32[np.ndarray, "H W"]) -> Float32[np.ndarray, "H W"]:
     """About the distance to what is blue, in units of v, negative inside."""
-    parts = [_line(v, at, half) for at, half in ((0.085, 0.003), (0.158, 0.002), (0.335, 0.002), (0.4, 0.003))]
+    parts = [_line(v, at, half) for at, half in ((0.086, 0.005), (0.163, 0.0035), (0.331, 0.0035), (0.404, 0.005))]
     # Petals: arches whose width falls with height.
     across = np.abs(_cell(u, 16))
-    height = (v - 0.092) / 0.06
+    height = (v - 0.091) / 0.064
     arch = 0.46 * np.sqrt(np.clip(1 - height**2, 0, 1))
-    inner = 0.3 * np.sqrt(np.clip(1 - (height / 0.72) ** 2, 0, 1))
-    ring = np.maximum(across - arch, inner - across) * 0.06
+    inner = 0.29 * np.sqrt(np.clip(1 - (height / 0.74) ** 2, 0, 1))
+    ring = np.maximum(across - arch, inner - across) * (AROUND / 16)
     parts.append(np.where((height > 0) & (height < 1), ring, 0.02))
     # A wave around the belly, and leaves that grow from it, up and down in turn.
-    middle = 0.247 + 0.028 * np.sin(2 * np.pi * 6 * u)
-    slope = 0.028 * 2 * np.pi * 6 * np.cos(2 * np.pi * 6 * u)
-    parts.append(np.abs(v - middle) / np.sqrt(1 + (slope / 2.2) ** 2) - 0.0042)
+    middle = BELLY + 0.024 * np.sin(2 * np.pi * 6 * u)
+    slope = 0.024 * 2 * np.pi * 6 / AROUND * np.cos(2 * np.pi * 6 * u)
+    parts.append(np.abs(v - middle) / np.sqrt(1 + slope**2) - 0.0045)
     for phase, side in ((0.25, -1), (0.75, 1)):
-        x, y = _cell(u - phase / 6, 6) / 6 * 2.2, (v - 0.247) * side
+        x, y = _cell(u - (phase - 0.5) / 6, 6) * (AROUND / 6), (v - BELLY) * side
         for lean in (-1, 1):
-            parts.append(_leaf(x - lean * 0.036, y - 0.003, lean * 0.75, 0.046, 0.017))
-        parts.append(_leaf(x, y - 0.016, 0.0, 0.034, 0.012))
+            parts.append(_leaf(x - lean * 0.03, y - 0.002, lean * 0.8, 0.036, 0.0125))
+        parts.append(_leaf(x, y - 0.012, 0.0, 0.036, 0.0115))
     # Lozenges of the border, hollow.
-    x, y = np.abs(_cell(u, 20)) / 20 * 2.2, np.abs(v - 0.3675)
-    lozenge = x / 0.05 + y / 0.026 - 1
-    parts.append(np.abs(lozenge * 0.02) - 0.0035)
-    # Drops on the neck.
-    x = _cell(u, 12) / 12 * 1.4
-    parts.append(_leaf(x, v - 0.445, 0.0, 0.034, 0.016))
+    x, y = np.abs(_cell(u, 20)) * (AROUND / 20), np.abs(v - 0.3675)
+    parts.append(np.abs((x / 0.0195 + y / 0.0285 - 1) * 0.016) - 0.0036)
+    # Drops on the neck, which is half as wide.
+    parts.append(_leaf(_cell(u, 12) * (0.4 / 12), v - 0.449, 0.0, 0.03, 0.0095))
     return np.minimum.reduce(parts)
 
 
 def _coral(u: Float32[np.ndarray, "H W"], v: Float32[np.ndarray, "H W"]) -> Float32[np.ndarray, "H W"]:
-    """The same for what is red: berries, and the middles of petals and lozenges."""
+    """The same for what is red: berries, lines, and the middles of petals and lozenges."""
     parts = []
     for phase, side in ((0.25, 1), (0.75, -1)):
-        x, y = _cell(u - phase / 6, 6) / 6 * 2.2, (v - 0.247) * side
-        for dx, dy in ((0.0, 0.055), (-0.034, 0.046), (0.034, 0.046)):
-            parts.append(np.hypot(x - dx, y - dy) - 0.0125)
-    x, y = _cell(u, 20) / 20 * 2.2, v - 0.3675
-    parts.append(np.hypot(x, y) - 0.0095)
-    parts.append(_leaf(_cell(u, 16) / 16 * 1.6, v - 0.11, 0.0, 0.016, 0.009))
-    parts.append(_line(v, 0.412, 0.003))
-    parts.append(_line(v, 0.172, 0.003))
+        x, y = _cell(u - (phase - 0.5) / 6, 6) * (AROUND / 6), (v - BELLY) * side
+        for dx, dy in ((0.0, 0.062), (-0.024, 0.053), (0.024, 0.053)):
+            parts.append(np.hypot(x - dx, y - dy) - 0.0095)
+    x, y = _cell(u, 20) * (AROUND / 20), v - 0.3675
+    parts.append(np.hypot(x / 0.8, y) - 0.0095)
+    parts.append(_leaf(_cell(u, 16) * (AROUND / 16), v - 0.112, 0.0, 0.018, 0.0085))
+    parts += [_line(v, 0.4165, 0.0035), _line(v, 0.1755, 0.0035)]
     return np.minimum.reduce(parts)
 
 
