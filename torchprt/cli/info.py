@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torchprt.cli.report import describe, details, say, triple
+from torchprt.cli.report import answer, describe, details, triple
 from torchprt.words import count
 
 
@@ -19,19 +19,19 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
     suffix = file.suffix.lower()
     if suffix == ".safetensors":
         loaded = prt.load_transfer(file)
-        say(f"{file}: {describe(loaded)}")
+        answer(f"{file}: {describe(loaded)}")
         for line in details(loaded):
-            say(line)
-        say(f"{count(loaded.rays, 'ray')} a receiver, seed {loaded.seed}, baked by torchprt {loaded.version}")
+            answer(line)
+        answer(f"{count(loaded.rays, 'ray')} a receiver, seed {loaded.seed}, baked by torchprt {loaded.version}")
     elif suffix == ".onnx":
         for name, value in prt.onnx.describe(file).items():
-            say(f"{name}: {value}")
+            answer(f"{name}: {value}")
     elif suffix == ".npy":
         coefficients = prt.light.read_coefficients(file)
         order = math.isqrt(len(coefficients))
-        say(f"{file}: light of order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")
+        answer(f"{file}: light of order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")
     elif suffix in (".ply", ".obj", ".glb", ".gltf", ".stl", ".off"):
-        say(prt.load(file))
+        answer(prt.load(file))
     else:
         image, report = prt.light.read_with_report(file, repair=True)
-        say(f"{file}: {image.shape[1]} x {image.shape[0]} pixels\n{report}")
+        answer(f"{file}: {image.shape[1]} x {image.shape[0]} pixels\n{report}")

@@ -80,7 +80,5 @@ def render(
         preview.save_gif(pictures, output, rate)
     else:
         preview.save_png(preview.strip(pictures), output)
-    shape = "{} x {}".format(*picture.size)
-    say(
-        f"{output}: {count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}"
-    )
+    shape = "{} of {} x {}".format(count(len(pictures), "picture"), *picture.size)
+    say(f"{output}: {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

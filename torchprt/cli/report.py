@@ -6,6 +6,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from torchprt.progress import quiet
 from torchprt.words import count
 
 if TYPE_CHECKING:
@@ -15,6 +16,13 @@ if TYPE_CHECKING:
 
 
 def say(what: Any) -> None:
+    """Tells what was done and what is worth knowing, unless all shall be quiet."""
+    if not quiet():
+        answer(what)
+
+
+def answer(what: Any) -> None:
+    """Tells what was asked for."""
     print(what, flush=True)
 
 
