@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from torchprt.errors import InputError
+from torchprt.suffixes import nearest
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -63,7 +64,9 @@ def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> P
     """
     target = Path(path)
     if target.suffix.lower() not in suffixes:
-        raise InputError(f"{target} must end in {' or '.join(suffixes)}")
+        near = nearest(target.suffix, suffixes) if target.suffix else None
+        hint = f", as {target.with_suffix(near)}" if near else ""
+        raise InputError(f"{target} must end in {' or '.join(suffixes)}{hint}")
     if target.is_dir():
         raise InputError(f"{target} is a folder: give the name of a file to write")
     if not target.parent.is_dir():

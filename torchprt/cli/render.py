@@ -12,6 +12,7 @@ from torchprt.cli import picture_options as asked
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
 from torchprt.words import count
 
 MOST = 720
@@ -19,7 +20,12 @@ MOST = 720
 
 def render(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` or `compress` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".png (a turntable as a sheet) or .gif.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help=".png or .jpg (a turntable as a sheet, or frames-####.png), .webp, .gif or .mp4."
+        ),
+    ],
     light: asked.Light = asked.LIGHT,
     size: asked.Size = asked.SIZE,
     turntable: Annotated[int, typer.Option(min=0, max=MOST, help="Pictures in which the camera goes around.")] = 0,
@@ -35,15 +41,21 @@ def render(
     backdrop: asked.Backdrop = None,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
-    rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
+    rate: Annotated[float, typer.Option(help="Pictures a second of what moves, up to 50.")] = 15.0,
     material: options.OpenGloss = None,
     repair: asked.Repair = False,
 ) -> None:
     """Picture of a bake, or a turntable of them, without a display. Glossy surfaces follow the camera."""
+    ends = check_writable(output, tuple(dict.fromkeys((*PICTURES, *MOVIES)))).suffix.lower()
+    fastest = 120 if ends == ".mp4" else 50
+    if not 0 < rate <= fastest:
+        raise InputError(f"--rate is {rate}: give pictures a second, above 0 and up to {fastest}")
+
     import torchprt as prt
     from torchprt import preview
 
-    check_writable(output, (".png", ".gif"))
+    if ends == ".mp4":
+        preview.check_video()
     picture = asked.picture_options(
         light=light,
         size=size,
@@ -62,10 +74,8 @@ def render(
     )
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
-    if not 0 < rate <= 50:
-        raise InputError(f"--rate is {rate}: give pictures a second, above 0 and up to 50")
-    if picture.background == "transparent" and output.suffix.lower() == ".gif":
-        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write a .png")
+    if picture.background == "transparent" and ends not in TRANSPARENT:
+        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {' or '.join(TRANSPARENT)}")
     loaded = prt.load_transfer(transfer)
     chosen = options.gloss_of(loaded, material)
     environment = picture.environment(loaded.order)
@@ -76,9 +86,9 @@ def render(
         pictures = list(studio.light_turntable(light_turntable, picture.camera(loaded), picture.rotation))
     else:
         pictures = [studio.picture(picture.camera(loaded), picture.rotation)]
-    if output.suffix.lower() == ".gif":
-        preview.save_gif(pictures, output, rate)
+    if "#" in output.name or ends in (".gif", ".mp4") or (ends in MOVIES and len(pictures) > 1):
+        preview.save_movie(pictures, output, rate)
     else:
-        preview.save_png(preview.strip(pictures), output)
+        preview.save_picture(preview.strip(pictures), output)
     shape = "{} of {} x {}".format(count(len(pictures), "picture"), *picture.size)
     say(f"{output}: {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

@@ -10,6 +10,7 @@ from torchprt.progress import quiet
 from torchprt.words import count
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
     from torchprt.transfer import Layer, Transfer
@@ -30,7 +31,7 @@ def complain(what: Any) -> None:
     print(f"torchprt: {what}", file=sys.stderr, flush=True)
 
 
-def triple(values: Tensor) -> str:
+def triple(values: Tensor | np.ndarray) -> str:
     return "({:.4g}, {:.4g}, {:.4g})".format(*values.tolist())
 
 

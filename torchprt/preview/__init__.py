@@ -11,9 +11,11 @@ from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
 from .picture import Still, save_png
 from .relight import Relight
+from .saving import save_movie, save_picture
 from .session import Session
 from .sheet import sheet
 from .turntable import Background, Studio, save_gif, strip
+from .video import check_video, save_mp4
 from .window import check_window, show
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "Studio",
     "automatic_exposure",
     "built_in_environment",
+    "check_video",
     "check_window",
     "colours",
     "error_colours",
@@ -37,6 +40,9 @@ __all__ = [
     "photograph",
     "save_gif",
     "save_glb",
+    "save_movie",
+    "save_mp4",
+    "save_picture",
     "save_ply",
     "save_png",
     "save_transfer_glb",
