@@ -10,6 +10,7 @@ from pathlib import Path
 
 from torchprt.errors import InputError
 from torchprt.suffixes import nearest
+from torchprt.words import either
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -66,7 +67,7 @@ def check_writable(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> P
     if target.suffix.lower() not in suffixes:
         near = nearest(target.suffix, suffixes) if target.suffix else None
         hint = f", as {target.with_suffix(near)}" if near else ""
-        raise InputError(f"{target} must end in {' or '.join(suffixes)}{hint}")
+        raise InputError(f"{target} must end in {either(suffixes)}{hint}")
     if target.is_dir():
         raise InputError(f"{target} is a folder: give the name of a file to write")
     if not target.parent.is_dir():

@@ -131,7 +131,8 @@ def _array(path: Path) -> list[str]:
     from torchprt.light import read_coefficients
 
     try:
-        values = np.load(path, allow_pickle=False)
+        with path.open("rb") as stream:
+            values = np.lib.format.read_array(stream, allow_pickle=False)
     except Exception as fault:  # Damaged headers end in exceptions of any kind.
         raise InputError(f"{path} is not a whole .npy file of numbers: write it again") from fault
     if values.dtype.kind not in "fiu":

@@ -13,7 +13,7 @@ from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
 from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
-from torchprt.words import count
+from torchprt.words import count, either
 
 MOST = 720
 
@@ -75,7 +75,7 @@ def render(
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if picture.background == "transparent" and ends not in TRANSPARENT:
-        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {' or '.join(TRANSPARENT)}")
+        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {either(TRANSPARENT)}")
     loaded = prt.load_transfer(transfer)
     chosen = options.gloss_of(loaded, material)
     environment = picture.environment(loaded.order)

@@ -18,6 +18,7 @@ from torchprt.files import atomic
 from torchprt.preview.turntable import save_gif
 from torchprt.preview.video import save_mp4
 from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
+from torchprt.words import either
 
 _FORMATS: dict[str, tuple[str, dict[str, Any]]] = {
     ".png": ("PNG", {}),
@@ -59,7 +60,7 @@ def save_movie(
             save_picture(picture, target.with_name(numbered(target.name, number)))
         return
     if suffix not in MOVIES:
-        raise InputError(f"{target} must end in {', '.join(MOVIES[:-1])} or {MOVIES[-1]}, or have # for the numbers")
+        raise InputError(f"{target} must end in {either(MOVIES)}, or have # for the numbers")
     _check_opacity(target, pictures[0])
     if suffix == ".gif":
         return save_gif(pictures, target, rate)
@@ -85,13 +86,13 @@ def numbered(name: str, number: int) -> str:
 def _format(target: Path) -> tuple[str, dict[str, Any]]:
     known = _FORMATS.get(target.suffix.lower())
     if known is None:
-        raise InputError(f"{target} must end in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
+        raise InputError(f"{target} must end in {either(PICTURES)}")
     return known
 
 
 def _check_opacity(target: Path, picture: Tensor) -> None:
     if picture.shape[-1] == 4 and target.suffix.lower() not in TRANSPARENT:
-        raise InputError(f"{target} cannot hold transparency: write {' or '.join(TRANSPARENT)}")
+        raise InputError(f"{target} cannot hold transparency: write {either(TRANSPARENT)}")
 
 
 def _image(picture: Tensor) -> Any:
