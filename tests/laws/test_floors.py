@@ -15,7 +15,7 @@ FLOORS = {
     "light": 2, "pose": 2, "brdf": 2, "compression": 2, "trace": 2,
     "scene": 3, "shade": 3,
     "transport": 4, "onnx": 4, "preview": 4,
-    "measure": 5, "web": 5, "demo": 5,
+    "measure": 5, "web": 5, "demo": 5, "notebook": 5,
     "cli": 6, "__main__": 7,
 }  # fmt: skip
 LEAN = {

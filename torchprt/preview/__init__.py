@@ -7,6 +7,7 @@ from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
 from .lobe import Lobe, lobe
+from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
 from .picture import Still, save_png
@@ -24,6 +25,7 @@ __all__ = [
     "Environment",
     "Lobe",
     "Orbit",
+    "Picture",
     "Relight",
     "Session",
     "Still",
@@ -37,6 +39,8 @@ __all__ = [
     "frame",
     "linear_colours",
     "lobe",
+    "look",
+    "look_at_light",
     "photograph",
     "save_gif",
     "save_glb",

@@ -37,7 +37,7 @@ def save_picture(picture: Float[Tensor, "H W C"], path: str | os.PathLike[str]) 
     target = Path(path)
     kind, options = _format(target)
     _check_opacity(target, picture)
-    image = _image(picture)
+    image = image_of(picture)
     with atomic(target) as temporary:
         image.save(temporary, format=kind, **options)
 
@@ -69,7 +69,7 @@ def save_movie(
     if not 0 < rate <= 50:
         raise InputError(f"rate is {rate}: give pictures a second, above 0 and up to 50")
     kind, options = _format(target)
-    first, *others = (_image(picture) for picture in pictures)
+    first, *others = (image_of(picture) for picture in pictures)
     # In milliseconds, each the difference of rounded times, so that they add up.
     ends = [round(1000 * (number + 1) / rate) for number in range(len(pictures))]
     durations = [end - start for start, end in zip([0, *ends], ends, strict=False)]
@@ -95,7 +95,8 @@ def _check_opacity(target: Path, picture: Tensor) -> None:
         raise InputError(f"{target} cannot hold transparency: write {either(TRANSPARENT)}")
 
 
-def _image(picture: Tensor) -> Any:
+def image_of(picture: Float[Tensor, "H W C"]) -> Any:
+    """sRGB values in [0, 1] as an image of Pillow, of 8 bits."""
     from PIL import Image
 
     values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
