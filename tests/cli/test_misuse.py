@@ -111,15 +111,10 @@ def test_a_folder_for_a_mesh(refused, tmp_path):
     refused("a.ply cannot be read", arguments=["bake", tmp_path / "a.ply", "-o", tmp_path / "a.safetensors"])
 
 
-def test_a_compressed_mesh(refused, tmp_path):
-    try:
-        import DracoPy  # noqa: F401
-    except ImportError:
-        word = "KHR_draco_mesh_compression"
-    else:
-        word = "export the mesh again"
+def test_a_compressed_mesh_that_is_damaged(refused, tmp_path):
     (tmp_path / "a.glb").write_bytes(draco())
-    refused("a.glb", word, arguments=["bake", tmp_path / "a.glb", "-o", tmp_path / "a.safetensors"])
+    arguments = ["bake", tmp_path / "a.glb", "-o", tmp_path / "a.safetensors"]
+    refused("a.glb", "damaged Draco data", arguments=arguments)
 
 
 # Options of a bake
@@ -426,7 +421,7 @@ def test_a_transfer_that_cannot_be_used(name, refused, folder, tmp_path):
 @pytest.mark.parametrize(
     ("option", "text"),
     [
-        *(("--rotate", text) for text in ("90", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "inf,0,0", "")),
+        *(("--rotate", text) for text in ("1,2,3,4", "1,,2", "a,b,c", "nan,0,0", "inf,0,0", "")),
         *(("--size", text) for text in ("800", "0x600", "800x0", "-1x5", "800,600", "99999x9", "x", "²x3", "1.5x2")),
         *(("--view", text) for text in ("0,0,0", "1,2", "x,y,z", "nan,0,1", "")),
         *(("--window", text) for text in ("hamming", "Hann", "")),

@@ -33,16 +33,25 @@ def pixels(path):
         (["--rate", "nan"], ["--rate is nan"]),
         (["--exposure", "inf"], ["--exposure is inf"]),
         (["--view", "0,0,0"], ["--view is '0,0,0'"]),
-        (["--rotate", "1,2"], ["--rotate is '1,2'"]),
+        (["--rotate", "1,2,3,4"], ["--rotate is '1,2,3,4'"]),
         (["--window", "x"], ["--window is 'x'"]),
         (["--tone", "x"], ["--tone is 'x'"]),
         (["--light", "none.exr"], ["none.exr"]),
-        (["--light", "sky", "--background"], ["--background", "sky is no image"]),
+        (["--light", "sunet"], ["light 'sunet'", "studio", "sunset"]),
+        (["--light", "light.npy", "--background"], ["--background", "light.npy is no image"]),
+        (["--background", "--backdrop", "white"], ["both given"]),
+        (["--backdrop", "#12"], ["--backdrop is '#12'"]),
+        (["--backdrop", "transparent", "-o", "a.gif"], ["transparent", "a.gif"]),
+        (["--target", "1,2"], ["--target is '1,2'"]),
+        (["--distance", 0], ["--distance is 0"]),
+        (["--distance", "nan"], ["--distance is nan"]),
+        (["--fov", 180], ["--fov is 180"]),
         (["--material", "phong:4"], ["--material is given"]),
     ],
 )
 def test_render_refuses(refused, folder, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
+    np.save("light.npy", np.ones((16, 3)))
     given = arguments if "-o" in arguments else [*arguments, "-o", "a.png"]
     refused(*words, arguments=["render", folder / "ball.safetensors", *given])
 

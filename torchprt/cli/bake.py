@@ -7,38 +7,36 @@ from typing import Annotated
 
 import typer
 
-from torchprt.cli import options
-from torchprt.cli.report import complain, describe, details, say
+from torchprt.cli import bake_options, options
+from torchprt.cli.report import details, say
 from torchprt.files import check_writable
 
 
 def bake(
-    mesh: Annotated[list[Path], typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off")],
+    mesh: Annotated[
+        list[Path],
+        typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off .usd; or a scene, .toml"),
+    ],
     output: options.Output,
-    order: Annotated[int, typer.Option(min=1, max=64, help="SH bands of the light that it will answer to.")] = 5,
-    rays: Annotated[int, typer.Option(min=1, max=1 << 22, help="Rays a vertex, over its hemisphere.")] = 1024,
-    bounces: Annotated[str, typer.Option(help="How often light is reflected on: 0, 1, 2, ... or inf.")] = "0",
-    albedo: Annotated[
-        str | None,
-        typer.Option(help="0.5, or r,g,b, or vertex for the colours in the file.", show_default="0.5, under a gloss 0"),
-    ] = None,
-    material: Annotated[
-        str | None,
-        typer.Option(help="phong:40 blinn:40 ggx:0.3 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 or a .toml file."),
-    ] = None,
-    specular: Annotated[str | None, typer.Option(help="Weight of the gloss: 0.5, or r,g,b.")] = None,
-    two_sided: Annotated[bool, typer.Option("--two-sided", help="Surfaces reflect with both sides.")] = False,
-    blocker: Annotated[list[Path] | None, typer.Option(help="A mesh that only casts shadows (repeatable).")] = None,
+    order: bake_options.Order = None,
+    rays: bake_options.Rays = None,
+    bounces: bake_options.Bounces = None,
+    albedo: bake_options.Albedo = None,
+    material: bake_options.Gloss = None,
+    specular: bake_options.Specular = None,
+    two_sided: bake_options.TwoSided = False,
+    blocker: bake_options.Blocker = None,
+    ground: bake_options.Ground = None,
+    ground_albedo: bake_options.GroundAlbedo = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Turns the set of directions.")] = 0,
-    threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
+    raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
+    seed: bake_options.Seed = None,
+    threads: bake_options.CPUs = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
     frame: Annotated[
         str, typer.Option(help="Gloss: exit (baked in), incident (chosen later) or visibility (the least memory).")
     ] = "exit",
-    output_order: Annotated[
-        int | None, typer.Option(min=1, max=32, help="Gloss: bands toward the eye.", show_default="as --order")
-    ] = None,
+    output_order: bake_options.OutputOrder = None,
     visibility_order: Annotated[
         int | None, typer.Option(min=1, max=32, help="Gloss: bands of --frame visibility.", show_default="as --order")
     ] = None,
@@ -50,49 +48,37 @@ def bake(
     ] = None,
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
-    import shutil
-    import time
-
-    import torch
-
-    import torchprt as prt
-    from torchprt.transport import bake as baked
-
     check_writable(output, (".safetensors",))
-    count, colour, few = options.bounces(bounces), options.albedo(albedo), options.factors(factors)
+    count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
-    surface = options.material(material, specular)
-    scene = prt.load(mesh, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)
+    scene = bake_options.scene_of(
+        mesh,
+        albedo=albedo,
+        material=material,
+        specular=specular,
+        two_sided=two_sided,
+        blocker=blocker,
+        ground=ground,
+        ground_albedo=ground_albedo,
+    )
     say(scene)
-    folder = output.with_name(output.name + ".partial")
-    start = time.perf_counter()
-    try:
-        transfer = baked(
-            scene,
-            order=order,
-            rays=rays,
-            bounces=count,
-            shadows=not unshadowed,
-            seed=seed,
-            threads=threads,
-            checkpoint=None if unshadowed else folder,
-            keep=True,
-            frame=kind,
-            output_order=output_order,
-            visibility_order=visibility_order,
-            projection=onto,
-            factors=few,
-        )
-    except KeyboardInterrupt:
-        kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
-        complain(f"stopped{kept}")
-        raise typer.Exit(130) from None
-    if half:
-        transfer = transfer.to(torch.float16)
-    prt.save_transfer(transfer, output)
-    if not unshadowed:
-        shutil.rmtree(folder, ignore_errors=True)
-    say(f"\n{output}: {describe(transfer)}, baked in {time.perf_counter() - start:.1f} s")
+    transfer = bake_options.baked(
+        scene,
+        output,
+        half=half,
+        order=order or bake_options.ORDER,
+        rays=rays or bake_options.RAYS,
+        bounces=count,
+        shadows=not unshadowed,
+        seed=seed or 0,
+        threads=threads,
+        frame=kind,
+        output_order=output_order,
+        visibility_order=visibility_order,
+        projection=onto,
+        factors=few,
+        raw=raw,
+    )
     for line in details(transfer)[1:]:
         say(line)

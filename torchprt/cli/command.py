@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from torchprt.cli.bake import bake
+from torchprt.cli.bake_options import GroundCommand
 from torchprt.cli.completion import completed
 from torchprt.cli.compress import compress
 from torchprt.cli.demo import demo
@@ -98,7 +99,7 @@ def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
 
 
 for verb in VERBS:
-    app.command()(_with_common_options(verb))
+    app.command(cls=GroundCommand)(_with_common_options(verb))
 
 
 def main() -> None:

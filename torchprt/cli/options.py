@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -54,19 +54,21 @@ def choice(text: str, option: str, choices: Sequence[str]) -> Any:
     return text
 
 
-def bounces(text: str) -> int | float:
+def bounces(text: str) -> int | float | Literal["auto"]:
+    if text == "auto":
+        return "auto"
     if text == "inf":
         return math.inf
     try:
         return int(text)
     except ValueError:
-        raise InputError(f"--bounces is '{text}': give a whole number or inf") from None
+        raise InputError(f"--bounces is '{text}': give a whole number, inf or auto") from None
 
 
 def albedo(text: str | None) -> Any:
     if text is None or text == "vertex":
         return text
-    return _colour(text, "--albedo", ", or vertex")
+    return colour(text, "--albedo", ", or vertex")
 
 
 def material(text: str | None, specular: str | None) -> Material | None:
@@ -81,7 +83,7 @@ def material(text: str | None, specular: str | None) -> Material | None:
         # It is looked at again, and warned of, when albedo and specular have their values.
         warnings.simplefilter("ignore")
         read = read_material(text)
-        return read if specular is None else replace(read, specular=_colour(specular, "--specular"))
+        return read if specular is None else replace(read, specular=colour(specular, "--specular"))
 
 
 def gloss(text: str) -> Brdf:
@@ -204,7 +206,8 @@ def windowed(coefficients: Tensor, name: str) -> Tensor:
     return sh.window(coefficients, chosen(order, dtype=coefficients.dtype))
 
 
-def _colour(text: str, option: str, other: str = "") -> float | tuple[float, ...]:
+def colour(text: str, option: str, other: str = "") -> float | tuple[float, ...]:
+    """One number, or three with commas between them."""
     found = numbers(text, None, option)
     if len(found) not in (1, 3):
         raise InputError(f"{option} is '{text}': give one number, three (r,g,b){other}")

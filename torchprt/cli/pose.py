@@ -27,7 +27,6 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
 
     from torchprt.pose import deformed_frames
     from torchprt.scene import read_mesh
-    from torchprt.transfer import Vertices
 
     if "pose" not in transfer.needs:
         raise InputError(
@@ -55,7 +54,7 @@ def in_pose(transfer: Transfer, meshes: Sequence[Path]) -> tuple[Transfer, dict[
     posed = positions[receivers]
     frames = deformed_frames(transfer.positions.double(), transfer.faces, posed, normals=transfer.normals.double())
     normals = (frames @ transfer.normals.double().unsqueeze(-1)).squeeze(-1)
-    moved = Vertices(positions=posed, normals=normals.to(transfer.normals.dtype), faces=transfer.faces)
+    moved = transfer.receivers.replace(positions=posed, normals=normals.to(transfer.normals.dtype))
     drawn = dataclasses.replace(transfer, receivers=moved)
     return drawn, {"positions": posed}
 

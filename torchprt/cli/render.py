@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
 from torchprt.cli import picture_options as asked
+from torchprt.cli.bake_on_the_way import Source
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -16,10 +17,14 @@ from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
 from torchprt.words import count, either
 
 MOST = 720
+SHOWN = ("radiance", "sight")
 
 
 def render(
-    transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` or `compress` wrote.")],
+    source: Annotated[
+        list[Path],
+        typer.Argument(help="A .safetensors of `torchprt bake` or `compress`; or meshes or a scene, baked on the way."),
+    ],
     output: Annotated[
         Path,
         typer.Option(
@@ -41,11 +46,30 @@ def render(
     backdrop: asked.Backdrop = None,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
+    show: Annotated[
+        str, typer.Option(help="radiance, or sight: which vertices could look out when they were baked.")
+    ] = SHOWN[0],
     rate: Annotated[float, typer.Option(help="Pictures a second of what moves, up to 50.")] = 15.0,
-    material: options.OpenGloss = None,
+    material: Annotated[
+        str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
+    ] = None,
+    with_ground: bake_options.WithGround = False,
     repair: asked.Repair = False,
+    bake: bake_options.Keep = None,
+    order: bake_options.Order = None,
+    rays: bake_options.Rays = None,
+    bounces: bake_options.Bounces = None,
+    output_order: bake_options.OutputOrder = None,
+    seed: bake_options.Seed = None,
+    threads: bake_options.CPUs = None,
+    albedo: bake_options.Albedo = None,
+    specular: bake_options.Specular = None,
+    two_sided: bake_options.TwoSided = False,
+    blocker: bake_options.Blocker = None,
+    ground: bake_options.Ground = None,
+    ground_albedo: bake_options.GroundAlbedo = None,
 ) -> None:
-    """Picture of a bake, or a turntable of them, without a display. Glossy surfaces follow the camera."""
+    """Picture of a bake or a mesh, or a turntable of them, without a display. Glossy surfaces follow the camera."""
     ends = check_writable(output, tuple(dict.fromkeys((*PICTURES, *MOVIES)))).suffix.lower()
     fastest = 120 if ends == ".mp4" else 50
     if not 0 < rate <= fastest:
@@ -72,14 +96,22 @@ def render(
         tone=tone,
         repair=repair,
     )
+    options.choice(show, "--show", SHOWN)
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if picture.background == "transparent" and ends not in TRANSPARENT:
         raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {either(TRANSPARENT)}")
-    loaded = prt.load_transfer(transfer)
-    chosen = options.gloss_of(loaded, material)
-    environment = picture.environment(loaded.order)
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment)
+    given: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "output_order": output_order}
+    given |= {"seed": seed, "threads": threads, "albedo": albedo, "material": material, "specular": specular}
+    given |= {"two_sided": two_sided, "blocker": blocker, "ground": ground, "ground_albedo": ground_albedo}
+    opened = Source(source, bake, given)
+    environment = picture.environment(opened.order)
+    loaded = opened.transfer()
+    chosen = None if opened.scene else options.gloss_of(loaded, material)
+    if with_ground:
+        loaded = loaded.with_ground()
+    colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
+    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:
@@ -90,5 +122,11 @@ def render(
         preview.save_movie(pictures, output, rate)
     else:
         preview.save_picture(preview.strip(pictures), output)
-    shape = "{} of {} x {}".format(count(len(pictures), "picture"), *picture.size)
-    say(f"{output}: {shape}, exposure {studio.exposure:+.2f} stops, under {environment.name}")
+    shape = "{} x {}".format(*picture.size)
+    made = f"{output}: {count(len(pictures), 'picture')} of {shape}"
+    if show == "sight":
+        for line in preview.sight_legend(loaded.receivers):
+            say(line)
+        say(f"{made}, sight of the vertices")
+        return
+    say(f"{made}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

@@ -61,10 +61,29 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    lines += _sight(transfer)
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
         lines += [f"{name}: {line}" for line in told]
     return lines
+
+
+def _sight(transfer: Transfer) -> list[str]:
+    """How many receivers could not see by themselves, and what was done about them."""
+    from torchprt.transfer import Sight
+
+    sight = transfer.receivers.tensors().get("sight")
+    if sight is None:
+        return []
+    told = {
+        Sight.TURNED: "turned (their faces cancel or oppose each other)",
+        Sight.MOVED: "moved off their own surface",
+        Sight.FILLED: "filled from their neighbours (under their own surface or in a solid)",
+        Sight.BLIND: "left dark (as those that are filled, but no neighbour sees)",
+    }
+    counts = {kind: int((sight == kind).sum()) for kind in told}
+    parts = [f"{counts[kind]} {what}" for kind, what in told.items() if counts[kind]]
+    return [f"receivers that could not see: {', '.join(parts)}"] if parts else []
 
 
 def _functions(layer: Layer) -> str:

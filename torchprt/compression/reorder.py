@@ -54,11 +54,12 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
 
     return dataclasses.replace(
         transfer,
-        receivers=Vertices(
+        receivers=vertices.replace(
             positions=vertices.positions[points],
             normals=vertices.normals[points],
             faces=place[vertices.faces.long()][triangles].to(vertices.faces.dtype),
             original=points,
+            sight=None if vertices.sight is None else vertices.sight[points],
         ),
         layers={name: moved(layer) for name, layer in transfer.layers.items()},
     )

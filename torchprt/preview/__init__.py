@@ -1,5 +1,8 @@
 """Pictures of what was baked: stills without a display, models with vertex colours."""
 
+from .asset_file import AssetWarning
+from .asset_light import keep_light, save_lit_glb
+from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
 from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
@@ -15,11 +18,14 @@ from .relight import Relight
 from .saving import save_movie, save_picture
 from .session import Session
 from .sheet import sheet
+from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
 from .video import check_video, save_mp4
 from .window import check_window, show
 
 __all__ = [
+    "Asset",
+    "AssetWarning",
     "Background",
     "Camera",
     "Environment",
@@ -36,7 +42,9 @@ __all__ = [
     "check_window",
     "colours",
     "error_colours",
+    "find_asset",
     "frame",
+    "keep_light",
     "linear_colours",
     "lobe",
     "look",
@@ -44,6 +52,7 @@ __all__ = [
     "photograph",
     "save_gif",
     "save_glb",
+    "save_lit_glb",
     "save_movie",
     "save_mp4",
     "save_picture",
@@ -53,6 +62,8 @@ __all__ = [
     "seen_along",
     "sheet",
     "show",
+    "sight_colours",
+    "sight_legend",
     "strip",
     "subject",
     "tone_map",

@@ -1,40 +1,43 @@
-"""A ground that a model stands on: left out where the model is framed, fading into what is behind it."""
+"""A ground in a picture: it is not framed, and it fades, because its edge is no part of the scene."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-SOLID = 0.45
-"""Share of the way from the middle of the ground to its rim that is wholly opaque."""
+from torchprt.transfer import Receivers
+
+REACH = 8.0
+"""Radius of a ground, in radii of what stands on it (`Scene.on_ground`)."""
+NEAR = 1.2
+"""How far it is whole, in the same unit."""
+CAMERA = 3.3
+"""Where a camera usually stands."""
+POWER = 1.6
+"""Above 1, because half of the light is much more than half as bright to the eye."""
 
 
-def subject(receivers: Any) -> Float[Tensor, "S 3"]:
+def subject(receivers: Receivers) -> Float[Tensor, "S 3"]:
     """What a camera is to hold in its picture: the places of all but the ground, unless there is nothing else."""
-    ground = _ground(receivers)
-    if ground is None or bool(ground.all()):
-        return receivers.positions
-    return receivers.positions[~ground]
+    return receivers.subject
 
 
-def opacity(receivers: Any) -> Float[Tensor, "V"] | None:
-    """1 where there is a model, and on the ground falling to 0 at its rim; None if there is no ground."""
-    ground = _ground(receivers)
-    if ground is None:
+def opacity(receivers: Receivers) -> Float[Tensor, "V"] | None:
+    """How much of every receiver covers what is behind it: 1 on the model, on a ground falling to 0 at its edge.
+
+    It falls evenly in the picture of a low camera, in which what is n times as far is n times nearer to the horizon.
+    None where there is no ground, or nothing else.
+    """
+    ground = receivers.ground()
+    if not bool(ground.any()) or bool(ground.all()):
         return None
-    flat = receivers.positions[ground][:, [0, 2]].double()
-    middle = (flat.amin(0) + flat.amax(0)) / 2
-    far = torch.linalg.vector_norm(flat - middle, dim=-1)
-    share = ((far / far.max().clamp(min=1e-300) - SOLID) / (1 - SOLID)).clamp(0, 1)
-    opaque = torch.ones(len(receivers.positions))
-    opaque[ground] = (1 - share * share * (3 - 2 * share)).float()
-    return opaque
-
-
-def _ground(receivers: Any) -> Tensor | None:
-    """Which receivers are ground; None if none is."""
-    ground = getattr(receivers, "ground", None)
-    return ground.bool() if ground is not None and bool(ground.any()) else None
+    places = receivers.positions[ground].double()
+    middle = (places.amin(0) + places.amax(0)) / 2
+    away = (places - middle).norm(dim=-1)
+    away = REACH * away / away.amax().clamp(min=1e-30)
+    ends = 1 / (NEAR + CAMERA), 1 / (REACH + CAMERA)
+    left = ((1 / (away + CAMERA) - ends[1]) / (ends[0] - ends[1])).clamp(0, 1)
+    seen = receivers.positions.new_ones(receivers.count)
+    # Starts and ends without a kink: neither is seen as a line.
+    seen[ground] = (left * left * (3 - 2 * left)).pow(POWER).to(seen.dtype)
+    return seen

@@ -20,13 +20,14 @@ from torchprt.preview.ground import subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
+from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 from torchprt.words import count
 
-MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
+MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
 BACKDROPS = ("plain", "environment", "environment in bands")
@@ -152,7 +153,7 @@ class Session:
             self.seconds if self.follows_pose else None,
         )
         if self._shown is None or self._shown[0] != key:
-            self._shown = key, self._error() if self.mode == "error" else self._display(self.radiance())
+            self._shown = key, self._make_colours()
         return self._shown[1]
 
     def backdrop_image(self) -> Float[Tensor, "H W 3"] | None:
@@ -185,6 +186,8 @@ class Session:
         ]
         if self.mode == "error" and self.worst is not None:
             lines.append(f"error {self.worst:.2%} RMS, red is {self._most():.2%}")
+        if self.mode == "sight":
+            lines += sight_legend(bake.receivers)
         return lines
 
     # Changes
@@ -285,7 +288,7 @@ class Session:
 
     def _stored(self) -> str:
         """The name of the bake that is shaded in the present mode."""
-        if self.mode in ("transfer", *UNBAKED):
+        if self.mode in ("transfer", "sight", *UNBAKED):
             return self.bake
         return self.packed or self._compress(self.bake)
 
@@ -318,6 +321,11 @@ class Session:
 
     def _pose(self) -> Tensor | None:
         return self.positions if self.follows_pose and self.positions is not self.rest else None
+
+    def _make_colours(self) -> Tensor:
+        if self.mode == "sight":
+            return sight_colours(self._all[self.bake].receivers)
+        return self._error() if self.mode == "error" else self._display(self.radiance())
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""

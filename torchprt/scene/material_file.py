@@ -1,7 +1,6 @@
 """Materials from text: a word for the command line, or a .toml file."""
 
 import os
-import sys
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from torchprt.brdf import Brdf, Tabulated, parse
 from torchprt.errors import InputError
 
 from .material import Material
+from .toml_file import colour, number, only, read_toml
 
 KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated")
 
@@ -28,13 +28,13 @@ def read_material(text: str | os.PathLike[str]) -> Material:
     - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular` (as `Material` takes them) and
       `gloss`, either text as above or a table of a `model` and its numbers by name (`roughness`, `f0`, `exponent`,
       ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured values as `brdf.Tabulated` takes
-      them, beside the .toml. Needs Python 3.11.
+      them, beside the .toml.
 
     Raises InputError, naming the file and the key, for anything else and as `Material` does.
     """
     name = os.fspath(text)
     if name.lower().endswith(".toml"):
-        return _read_toml(Path(name))
+        return _material(Path(name), read_toml(Path(name)))
     model, _, numbers = name.strip().partition(":")
     if model == "membrane":
         try:
@@ -49,59 +49,34 @@ def read_material(text: str | os.PathLike[str]) -> Material:
         raise InputError(f"material '{name}' cannot be used, give {EXAMPLES} ({fault})") from fault
 
 
-def _read_toml(source: Path) -> Material:
-    if sys.version_info < (3, 11):
-        raise InputError(f"{source} needs Python 3.11 or later to be read: give the material as text or in a program")
-    import tomllib
-
+def _material(source: Path, content: dict[str, Any]) -> Material:
+    only(source, content, KEYS)
     try:
-        content = tomllib.loads(source.read_text(encoding="utf-8"))
-    except FileNotFoundError as fault:
-        raise InputError(f"{source} does not exist: check the name") from fault
-    except OSError as fault:
-        raise InputError(f"{source} cannot be read ({fault.strerror}): check the name and its permissions") from fault
-    except ValueError as fault:  # Both of bad UTF-8 and of bad TOML.
-        raise InputError(f"{source} is not a .toml file ({fault}): mend it") from fault
-    unknown = [key for key in content if key not in KEYS]
-    if unknown:
-        raise InputError(f"{source} has an unknown key {unknown[0]!r}: use {', '.join(KEYS)}")
-    if "gloss" in content and "tabulated" in content:
-        raise InputError(f"{source} has both gloss and tabulated: keep one")
-    given: dict[str, Any] = {}
-    if "albedo" in content:
-        given["albedo"] = content["albedo"] if content["albedo"] == "vertex" else _colour(source, content, "albedo")
-    if "specular" in content:
-        given["specular"] = _colour(source, content, "specular")
-    if "translucency" in content:
-        given["translucency"] = _number(source, "translucency", content["translucency"])
-    if "two_sided" in content:
-        if not isinstance(content["two_sided"], bool):
-            raise InputError(f"{source} has two_sided = {content['two_sided']!r}: give true or false")
-        given["two_sided"] = content["two_sided"]
-    if "gloss" in content:
-        given["gloss"] = _gloss(source, content["gloss"])
-    if "tabulated" in content:
-        given["gloss"] = _table(source, content["tabulated"])
-    try:
-        return Material(**given)
+        return Material(**given(source, content))
     except InputError as fault:
         raise InputError(f"{source}: {fault}") from fault
 
 
-def _number(source: Path, key: str, value: Any) -> float:
-    # TOML keeps true apart from 1; Python does not.
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{source} has {key} = {value!r}: give a number")
-    return float(value)
-
-
-def _colour(source: Path, content: dict[str, Any], key: str) -> float | list[float]:
-    value = content[key]
-    if not isinstance(value, list):
-        return _number(source, key, value)
-    if len(value) != 3:
-        raise InputError(f"{source} has {key} of {len(value)} numbers: give one, or three (linear RGB)")
-    return [_number(source, key, each) for each in value]
+def given(source: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of `Material` that the keys `KEYS` of a table in the .toml file `source` say."""
+    if "gloss" in content and "tabulated" in content:
+        raise InputError(f"{source} has both gloss and tabulated: keep one")
+    found: dict[str, Any] = {}
+    if "albedo" in content:
+        found["albedo"] = content["albedo"] if content["albedo"] == "vertex" else colour(source, content, "albedo")
+    if "specular" in content:
+        found["specular"] = colour(source, content, "specular")
+    if "translucency" in content:
+        found["translucency"] = number(source, "translucency", content["translucency"])
+    if "two_sided" in content:
+        if not isinstance(content["two_sided"], bool):
+            raise InputError(f"{source} has two_sided = {content['two_sided']!r}: give true or false")
+        found["two_sided"] = content["two_sided"]
+    if "gloss" in content:
+        found["gloss"] = _gloss(source, content["gloss"])
+    if "tabulated" in content:
+        found["gloss"] = _table(source, content["tabulated"])
+    return found
 
 
 def _gloss(source: Path, value: Any) -> Brdf:
@@ -122,7 +97,7 @@ def _gloss_table(source: Path, table: dict[str, Any]) -> Brdf:
     name = table.get("model")
     if not isinstance(name, str) or name not in models:
         raise InputError(f"{source} has [gloss] model = {name!r}: use one of {', '.join(models)}")
-    numbers = {key: _number(source, f"[gloss] {key}", value) for key, value in table.items() if key != "model"}
+    numbers = {key: number(source, f"[gloss] {key}", value) for key, value in table.items() if key != "model"}
     wanted = [field.name for field in fields(models[name])]  # type: ignore[arg-type]
     unknown = [key for key in numbers if key not in wanted]
     if unknown:

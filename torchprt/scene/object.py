@@ -4,13 +4,15 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
 
 from .material import Material, differs
 from .mesh import Mesh
+
+ROLES = ("receiver", "blocker", "ground")
 
 
 class TangentWarning(UserWarning):
@@ -21,7 +23,8 @@ class TangentWarning(UserWarning):
 class Object:
     """A mesh with a material and a role.
 
-    A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it.
+    A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it. A "ground" is a receiver
+    that pictures are not about: they frame what stands on it.
 
     Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
@@ -32,14 +35,16 @@ class Object:
     role: str = "receiver"
 
     def __post_init__(self) -> None:
-        if self.role not in ("receiver", "blocker"):
-            raise InputError(f'role {self.role!r} is not known: give "receiver" or "blocker"')
+        if self.role not in ROLES:
+            raise InputError(f'role {self.role!r} is not known: give "receiver", "blocker" or "ground"')
         if self.receives:
             self.material.albedo_of(self.mesh)
             self.material.specular_of(self.mesh)
+            self.material.two_sided_of(self.mesh)
+            self.material.gloss_of(self.mesh)
             self.material.check_energy(self.mesh)
-        brdf = self.material.brdf
-        if self.glossy and brdf is not None and not brdf.isotropic and self.mesh.tangents is None:
+        brdf = next((each for each in self.material.glosses if not each.isotropic), None)
+        if self.glossy and brdf is not None and self.mesh.tangents is None:
             warnings.warn(
                 f"{self.mesh.name} has an anisotropic gloss ({brdf.spec}) and no texture coordinates: its tangents are "
                 "a smooth field, guided by the x axis (another where the surface mostly faces along x)",
@@ -49,7 +54,7 @@ class Object:
 
     @property
     def receives(self) -> bool:
-        return self.role == "receiver"
+        return self.role != "blocker"
 
     @property
     def albedo(self) -> Float32[Tensor, "V C"]:
@@ -60,6 +65,16 @@ class Object:
     def specular(self) -> Float32[Tensor, "V C"]:
         """Weight of the gloss at every vertex, C = 1 or 3; zero without a gloss."""
         return self.material.specular_of(self.mesh)
+
+    @property
+    def gloss_of_vertex(self) -> Int64[Tensor, "V"]:
+        """Which of the glosses of its material lies on every vertex, -1 for none."""
+        return self.material.gloss_of(self.mesh)
+
+    @property
+    def two_sided(self) -> Bool[Tensor, "V"]:
+        """Which vertices record on their reverse as well."""
+        return self.material.two_sided_of(self.mesh)
 
     @property
     def glossy(self) -> bool:

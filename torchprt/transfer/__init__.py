@@ -6,7 +6,7 @@ from .file import FORMAT, load, save
 from .layer import Diffuse, Layer
 from .layers import Exit, Factored, Incident, Visibility
 from .layout import Layout
-from .receivers import Receivers, Texels, Vertices
+from .receivers import Receivers, Sight, Texels, Vertices
 from .signal import Signal
 from .transfer import Transfer, diffuse_transfer
 from .zonal import Zonal
@@ -22,6 +22,7 @@ __all__ = [
     "Layer",
     "Layout",
     "Receivers",
+    "Sight",
     "Signal",
     "Texels",
     "Transfer",

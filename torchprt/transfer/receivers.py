@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -33,11 +35,36 @@ class Receivers(Part, abc.ABC):
         """Values of the receivers in the order that they have in what was baked."""
         return values
 
+    def ground(self) -> Bool[Tensor, "V"]:
+        """Which of them are of a ground: pictures are about the others."""
+        return torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
+
+    @property
+    def subject(self) -> Float[Tensor, "v 3"]:
+        """The positions that pictures are about and frame: all but the ground, unless there is nothing else."""
+        model = ~self.ground()
+        return self.positions[model] if bool(model.any()) else self.positions
+
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
             "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
         )
+
+
+class Sight(enum.IntEnum):
+    """How a receiver came to its transfer: what lightmap bakers call validity."""
+
+    VALID = 0
+    """By its own rays, as any."""
+    TURNED = 1
+    """By its own rays about another normal: its faces cancel or oppose each other, and it looks along others."""
+    MOVED = 2
+    """By its own rays from another origin, in front of all of its faces: its own surface covered it."""
+    FILLED = 3
+    """From its neighbours along the surface: it lies under its own surface or in a solid, and its rays say nothing."""
+    BLIND = 4
+    """Not at all: as those that are filled, but no neighbour sees either."""
 
 
 @dataclass(kw_only=True, repr=False)
@@ -48,6 +75,10 @@ class Vertices(Receivers):
       objects record twice: the receivers of all first sides come first, then the reverse sides.
     - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
       None.
+    - `sight [V]`: how each came to its transfer, a number of `Sight`, uint8; None if all are valid or nobody looked.
+    - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
+      "ground"), `side` ("front" or "back") and its `rows`, [first, one past the last], in the order of the mesh. Empty
+      if nothing is known of it.
     """
 
     kind: ClassVar[str] = "vertices"
@@ -56,12 +87,47 @@ class Vertices(Receivers):
         "normals": Layout(("V", "3"), REAL),
         "faces": Layout(("F", "3"), WHOLE),
         "original": Layout(("V",), WHOLE, optional=True),
+        "sight": Layout(("V",), (torch.uint8,), optional=True),
     }
 
     positions: Tensor
     normals: Tensor
     faces: Tensor
     original: Tensor | None = None
+    sight: Tensor | None = None
+    objects: Sequence[dict[str, Any]] = field(default_factory=list)
+
+    def metadata(self) -> dict[str, Any]:
+        return {"objects": list(self.objects)} if self.objects else {}
+
+    def ground(self) -> Bool[Tensor, "V"]:
+        found = super().ground()
+        for each in self.objects:
+            if each["role"] == "ground":
+                found[slice(*each["rows"])] = True
+        return found if self.original is None else found[self.original.long()]
+
+    def take(self, index: Int[Tensor, "v"]) -> Vertices:
+        """Those that `index` names, each once and ascending, and the faces between them."""
+        place = torch.full((self.count,), -1, device=index.device)
+        place[index] = torch.arange(len(index), device=index.device)
+        corners = place[self.faces.long()]
+        taken = {
+            name: getattr(self, name)[index]
+            for name, layout in self.layouts.items()
+            if layout.shape[0] == "V" and getattr(self, name) is not None
+        }
+        kept = torch.zeros(self.count, dtype=torch.long, device=index.device)
+        kept[index if self.original is None else self.original[index].long()] = 1
+        before = [0, *kept.cumsum(0).tolist()]
+        if self.original is not None:
+            taken["original"] = taken["original"].argsort().argsort().to(self.original.dtype)
+        objects = [{**each, "rows": [before[row] for row in each["rows"]]} for each in self.objects]
+        return self.replace(
+            **taken,
+            faces=corners[(corners >= 0).all(-1)].to(self.faces.dtype),
+            objects=[each for each in objects if each["rows"][0] < each["rows"][1]],
+        )
 
     def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
         return values if self.original is None else values[..., self.original.argsort(), :]
@@ -70,6 +136,13 @@ class Vertices(Receivers):
         """InputError if a tensor holds NaN or infinity, or an index names no vertex."""
         super().check(of)
         check_indices("faces", self.faces, self.count)
+        for each in self.objects:
+            if not {"name", "role", "side", "rows"} <= each.keys() or not 0 <= each["rows"][0] <= each["rows"][1]:
+                raise InputError(f"objects of the transfer hold {each}, which names no rows: bake it again")
+            if each["rows"][1] > self.count:
+                raise InputError(f"objects of the transfer name receiver {each['rows'][1]} of {self.count}: bake again")
+        if self.sight is not None and bool((self.sight > max(Sight)).any()):
+            raise InputError(f"sight of the transfer has numbers above {max(Sight):d}: a newer torchprt wrote it")
         order = self.original
         if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
             raise InputError("original of the transfer does not name every vertex once: compress it again")

@@ -153,6 +153,31 @@ class Transfer:
         """The same with all signals stored as `dtype` (float16 and bfloat16 halve the bytes)."""
         return self.with_layers(**{name: layer.to(dtype) for name, layer in self.layers.items()})
 
+    def with_ground(self) -> Transfer:
+        """The same with its ground as one model among others: to be framed, shown whole and written."""
+        if not isinstance(self.receivers, Vertices):
+            return self
+        objects = [{**each, "role": "receiver"} for each in self.receivers.objects]
+        return dataclasses.replace(self, receivers=self.receivers.replace(objects=objects))
+
+    def without_ground(self) -> Transfer:
+        """The same without what was recorded on a ground, and without layers that are of nothing else."""
+        keep = ~self.receivers.ground()
+        if bool(keep.all()) or not bool(keep.any()) or not isinstance(self.receivers, Vertices):
+            return self
+        index = keep.nonzero()[:, 0]
+        place = keep.cumsum(0) - 1
+        layers: dict[str, Layer] = {}
+        for name, layer in self.layers.items():
+            if layer.receivers is None:
+                layers[name] = layer.take(index, None)
+                continue
+            rows = layer.receivers.long()
+            among = keep[rows].nonzero()[:, 0]
+            if len(among):
+                layers[name] = layer.take(among, place[rows[among]].to(layer.receivers.dtype))
+        return dataclasses.replace(self, receivers=self.receivers.take(index), layers=layers)
+
     def check(self) -> None:
         """Raises InputError if a tensor holds NaN or infinity, a weight leaves [0, 1], or an index names nothing."""
         self.receivers.check()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
+from torchprt.transport.bounces import Bounces, check_bounces, followed
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
 from torchprt.transport.diffuse_tasks import Job, Record
@@ -30,6 +30,7 @@ from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.progress import Bar
 from torchprt.transport.receivers import Receivers
+from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import Solution, exit_radiance, solve, surfaces, trace, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import CHUNK, Runner, chunks
@@ -42,7 +43,7 @@ def bake(
     *,
     order: int = 5,
     rays: int = 1024,
-    bounces: int | float = 0,
+    bounces: Bounces = 0,
     shadows: bool = True,
     receivers: Points | None = None,
     seed: int = 0,
@@ -56,18 +57,24 @@ def bake(
     projection: Projection = "optimal",
     factors: int | float | None = None,
     visibility_order: int | None = None,
+    raw: bool = False,
 ) -> Transfer:
     """Transfer of a scene: a layer of what is diffuse in it, and one of what is glossy.
 
     - `order` of the light that it will answer to, from 1; `rays` a receiver, over its hemisphere. Four times the
       rays take four times the time for a third of the error.
-    - `bounces`: 0 for shadows alone, a count, or `math.inf` to follow light until a bounce adds less than 1e-4 of
-      the transfer. `shadows=False` gives the closed form without any ray.
+    - `bounces`: 0 for shadows alone, a count, `math.inf` to follow light until a bounce adds less than 1e-4 of the
+      transfer (RMS), or "auto" until one adds less than 1e-2, which is none at all where nothing reflects, without
+      shadows and in the frame "visibility". `bounces` of the result is how many it took. `shadows=False` gives the
+      closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
+
+    - `raw`: leave receivers that cannot see as they are, black; otherwise see `with_sight`: they are turned, moved, or
+      filled from their neighbours along the surface, and `Vertices.sight` of the result says which.
 
     For glossy materials:
     - `frame`: "exit" (the BRDF baked in: layer `Exit`), "incident" (the BRDF chosen at run time:
@@ -102,7 +109,8 @@ def bake(
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
-    is_glossy = scene.requires(bounces).kind == "glossy"
+    is_glossy = scene.requires().kind == "glossy"
+    bounces, enough = followed(bounces, geometry, can=shadows and not (is_glossy and frame == "visibility"))
     if is_glossy:
         bake_glossy.check(wanted, geometry, bounces)
     elif wanted != Wanted("exit", order, "optimal", None, order):
@@ -117,7 +125,10 @@ def bake(
         return result.diffuse(geometry, receivers, vectors[None], transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = scene.requires(bounces).channels
-    job = Job(tracer, surfaces(geometry), vertex_receivers(geometry, tracer), order, rays, seed, channels, membranes)
+    everything, validity = vertex_receivers(geometry, tracer), None
+    if not raw:
+        geometry, everything, validity = with_sight(geometry, tracer, everything)
+    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -161,6 +172,7 @@ def _diffuse(
         geometry,
         receivers,
         solution.transfer,
+        job.validity,
         transport="interreflected" if solution.bounces else "shadowed",
         bounces=solution.bounces,
         rays=job.rays,
@@ -173,7 +185,7 @@ def _diffuse(
 def _check(
     order: int,
     rays: int,
-    bounces: int | float,
+    bounces: Bounces,
     shadows: bool,
     seed: int,
     threads: int | None,
@@ -183,9 +195,8 @@ def _check(
         raise InputError(f"order is {order}: give a number from 1 to 64")
     if not 1 <= rays <= 1 << 22:
         raise InputError(f"rays is {rays}: give a number from 1 to {1 << 22}")
-    if not bounces >= 0 or (bounces != math.inf and bounces != int(bounces)):
-        raise InputError(f"bounces is {bounces}: give 0, a whole number or infinity")
-    if bounces and not shadows:
+    check_bounces(bounces)
+    if bounces not in (0, "auto") and not shadows:
         raise InputError("bounces need shadows: leave one of the two options out")
     if seed < 0:
         raise InputError(f"seed is {seed}: give a number from 0")
@@ -198,7 +209,7 @@ def _check(
 def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, stages: Stages) -> tuple[Job, Solution]:
     """Transfer at points: all bounces but the last run over the vertices, the last gathers to the points."""
     origins = job.tracer.origins(points.positions, points.normals)
-    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins))
+    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins), validity=None)
     if not bounces:
         transfer = trace(here, stages, keep_hits=False)[None]
         return here, Solution(transfer, transfer)
@@ -227,7 +238,7 @@ def _store(
         yield None
         return
     contents = [geometry.positions, geometry.faces, geometry.receiver_positions, geometry.receiver_normals]
-    contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex]
+    contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex, job.receivers.origins]
     parameters: dict[str, Any] = {
         "order": job.order,
         "rays": job.rays,
@@ -246,6 +257,7 @@ def _store(
         # What the points gather has bounced already; elsewhere bounces and albedo enter after tracing.
         contents += [points.positions, points.normals, geometry.albedo]
         parameters["bounces"] = bounces
+        parameters["enough"] = job.enough
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:
         yield store

@@ -13,7 +13,7 @@ from torchprt.brdf import exit_error, factor
 from torchprt.errors import InputError
 from torchprt.scene import Geometry
 from torchprt.sh import Projection, exit_count
-from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Layer, Transfer, Visibility
+from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Layer, Transfer, Vertices, Visibility
 from torchprt.transport import result
 from torchprt.transport.diffuse import unshadowed
 from torchprt.transport.diffuse_tasks import Job
@@ -107,7 +107,8 @@ def job_of(job: Job, geometry: Geometry, recording: Recording) -> GlossyJob:
     receivers = dataclasses.replace(job.receivers, tangents=tangents)
     everything = glossy(receivers, geometry.glossy, geometry.tangents, geometry.gloss_of_glossy, geometry.gloss)
     job = dataclasses.replace(job, receivers=receivers)
-    return GlossyJob(job, everything, recording, geometry.albedo, geometry.specular)
+    among = None if job.validity is None else job.validity.among(geometry.glossy)
+    return GlossyJob(job, everything, recording, geometry.albedo, geometry.specular, among)
 
 
 def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | float, stages: Stages) -> Transfer:
@@ -115,11 +116,15 @@ def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | f
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
     solution = solve(task, bounces, stages)
+    if not solution.bounces and job.channels > 1:
+        job = dataclasses.replace(job, channels=1)
+        task = dataclasses.replace(task, job=dataclasses.replace(task.job, channels=1))
     error, signal = glossy_error_and_signal(task, solution, stages)
     transfer = _transfer(
         geometry,
         wanted,
         task.recording,
+        result.vertices(geometry, job.validity),
         channels_first(job.through(solution.arrived.diffuse), job.channels),
         solution.arrived.matrix,
         worst,
@@ -154,7 +159,8 @@ def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Shee
     matrix[normals[geometry.glossy].abs().sum(-1) == 0] = 0
     vectors = unshadowed(normals, order).T
     shown = (vectors if sheets is None else sheets.through(vectors)).T[None]
-    return _transfer(geometry, wanted, recording, shown, matrix, worst, transport="unshadowed")
+    receivers = result.vertices(geometry)
+    return _transfer(geometry, wanted, recording, receivers, shown, matrix, worst, transport="unshadowed")
 
 
 def bake_points(
@@ -178,6 +184,7 @@ def _transfer(
     geometry: Geometry,
     wanted: Wanted,
     recording: Recording,
+    receivers: Vertices,
     shown: Tensor,
     arrived: Tensor,
     worst: float | None,
@@ -190,7 +197,7 @@ def _transfer(
         layers["diffuse"] = Diffuse(albedo=result.uniform(geometry.albedo), signal=diffuse)
     layer = _eye_layer(geometry, wanted, recording, shown.shape[0], arrived, worst)
     layers[layer.kind] = layer
-    return Transfer(receivers=result.vertices(geometry), layers=layers, version=VERSION, **metadata)
+    return Transfer(receivers=receivers, layers=layers, version=VERSION, **metadata)
 
 
 def _eye_layer(

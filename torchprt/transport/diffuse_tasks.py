@@ -9,16 +9,20 @@ from torch import Tensor
 
 from torchprt.trace import Tracer
 from torchprt.transport.bounce import Gather, Surfaces, shadowed_with_hits
+from torchprt.transport.bounces import SPENT
 from torchprt.transport.diffuse import projection, shadowed
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.membrane import Sheets
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.task import Once, Results, Task
+from torchprt.transport.validity import Validity
 
 
 @dataclass
 class Job:
-    """What a bake is made of, and nothing that changes while it runs."""
+    """What a bake is made of, and nothing that changes while it runs.
+
+    `enough`: endless bounces end when one adds less than this part of the transfer (RMS)."""
 
     tracer: Tracer
     surfaces: Surfaces
@@ -28,11 +32,19 @@ class Job:
     seed: int
     channels: int
     sheets: Sheets | None = None
+    validity: Validity | None = None
+    enough: float = SPENT
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
         """What arrives at all receivers, with what shines through membranes."""
         return arriving if self.sheets is None else self.sheets.through(arriving)
+
+    def filled(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
+        """What arrives at all receivers, in place: those that see nothing have it from their neighbours."""
+        if self.validity is not None:
+            self.validity.fill(arriving)
+        return arriving
 
     def directions(self, rays: int, seed: int) -> tuple[Float[Tensor, "D 3"], Float[Tensor, "N D"]]:
         """The directions of every receiver and the matrix that projects what they see."""

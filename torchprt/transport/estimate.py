@@ -59,8 +59,10 @@ def _finer(job: Job) -> tuple[int, int]:
 
 
 def _spread(job: Job, candidates: Int[Tensor, "c"]) -> tuple[int, list[tuple[int, ...]]]:
-    """How many of the candidates have a normal, and some of those, eight a task."""
+    """How many of the candidates have a normal, and some of those that see by their own rays, eight a task."""
     alive = candidates[job.receivers.normals[candidates].abs().sum(-1) > 0]
+    if job.validity is not None:
+        alive = alive[~torch.isin(alive, job.validity.rows)]
     count = min(len(alive), max(8, min(SAMPLE, len(alive) // 512)))
     order = torch.randperm(len(alive), generator=torch.Generator().manual_seed(job.seed))
     return len(alive), [tuple(rows.tolist()) for rows in alive[order[:count]].split(8)]

@@ -15,6 +15,7 @@ from torchprt.transport.glossy import Arrivals, Exitant, Glossy, Tables, gathere
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.rows import Recording
 from torchprt.transport.task import Once, Results
+from torchprt.transport.validity import Validity
 
 # Matrices that are recorded: those that are wanted, or those that surfaces are shaded from when they are hit.
 Recorded = Literal["wanted", "for hits"]
@@ -32,7 +33,15 @@ class GlossyJob:
     recording: Recording
     albedo: Float[Tensor, "V A"]
     specular: Float[Tensor, "G S"]
+    validity: Validity | None = None
+    """That of the glossy receivers among themselves."""
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
+
+    def filled(self, matrix: Float[Tensor, "G R W"]) -> Float[Tensor, "G R W"]:
+        """What arrives at the glossy receivers, in place: those that see nothing have it from their neighbours."""
+        if self.validity is not None:
+            self.validity.fill(matrix.view(len(matrix), -1))
+        return matrix
 
     def recording_of(self, recorded: Recorded) -> Recording:
         """What is recorded for one of the two uses."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -9,13 +10,16 @@ from torch import Tensor
 
 from torchprt.scene import Geometry, Points
 from torchprt.transfer import Dense, Diffuse, Transfer, Vertices
+from torchprt.transport.validity import Validity
 from torchprt.version import VERSION
 
 
-def diffuse(geometry: Geometry, points: Points | None, vectors: Tensor, **metadata: Any) -> Transfer:
+def diffuse(
+    geometry: Geometry, points: Points | None, vectors: Tensor, validity: Validity | None = None, **metadata: Any
+) -> Transfer:
     """Transfer of the receivers of a scene, or of points in it."""
     if points is None:
-        receivers, albedo = vertices(geometry), geometry.albedo
+        receivers, albedo = vertices(geometry, validity), geometry.albedo
     else:
         receivers = _where(points.positions, points.normals, torch.zeros(0, 3))
         albedo = torch.as_tensor(points.albedo)
@@ -23,9 +27,18 @@ def diffuse(geometry: Geometry, points: Points | None, vectors: Tensor, **metada
     return Transfer(receivers=receivers, layers={"diffuse": layer}, version=VERSION, **metadata)
 
 
-def vertices(geometry: Geometry) -> Vertices:
-    """The receivers of a scene."""
-    return _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
+def vertices(geometry: Geometry, validity: Validity | None = None) -> Vertices:
+    """The receivers of a scene, of which objects they are, and how they see unless all are valid."""
+    found = _where(geometry.receiver_positions, geometry.receiver_normals, geometry.display_faces)
+    sides = (("front", geometry.slices), ("back", geometry.back_slices))
+    objects = [
+        {"name": name, "role": role, "side": side, "rows": [rows.start, rows.stop]}
+        for side, slices in sides
+        for name, role, rows in zip(geometry.names, geometry.roles, slices, strict=True)
+        if rows.stop > rows.start
+    ]
+    sight = None if validity is None or not bool(validity.sight.any()) else validity.sight
+    return dataclasses.replace(found, objects=objects, sight=sight)
 
 
 def uniform(weights: Tensor) -> Tensor:

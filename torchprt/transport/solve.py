@@ -17,9 +17,6 @@ from torchprt.transport.receivers import Receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
 
-# Light that bounces without end is followed until a bounce adds less than this part of the transfer (RMS).
-ENERGY = 1e-4
-
 
 @dataclass
 class Solution:
@@ -39,22 +36,26 @@ def surfaces(geometry: Geometry) -> Surfaces:
 
 def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:
     """The receivers of a scene with the origins of their rays."""
-    size, inward = _around_vertices(geometry)
     points, normals = geometry.receiver_positions, geometry.receiver_normals
-    on_receivers = torch.zeros(len(points), dtype=torch.float64)
-    away = torch.zeros_like(points)
-    for numbering in (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex):
-        recording = numbering >= 0
-        on_receivers[numbering[recording]] = size[recording]
-        away[numbering[recording]] = inward[recording]
+    size, away = around_receivers(geometry)
     # Where a wall stands on a floor, the edge of the floor lies in the wall, which would block every ray or none as
     # rounding will have it. A step toward the middle of its own faces, as small as that off the surface, decides.
     away = away - (away * normals).sum(-1, keepdim=True) * normals + normals
-    return Receivers(points, normals, tracer.origins(points, away, on_receivers))
+    return Receivers(points, normals, tracer.origins(points, away, size))
+
+
+def around_receivers(geometry: Geometry) -> tuple[Float[Tensor, "V"], Float[Tensor, "V 3"]]:
+    """Longest extent of the faces at each receiver, and the mean direction to their middles."""
+    of_vertices = _around_vertices(geometry)
+    size, inward = (values.new_zeros(geometry.receivers, *values.shape[1:]) for values in of_vertices)
+    for numbering in (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex):
+        recording = numbering >= 0
+        size[numbering[recording]] = of_vertices[0][recording]
+        inward[numbering[recording]] = of_vertices[1][recording]
+    return size, inward
 
 
 def _around_vertices(geometry: Geometry) -> tuple[Float[Tensor, "Vall"], Float[Tensor, "Vall 3"]]:
-    """Longest extent of the faces at each vertex, and the mean direction to their middles (short unless at an edge)."""
     # Axis by axis: at a million vertices the corners of all faces at once would weigh as much as the transfer.
     extent = torch.zeros(len(geometry.faces), dtype=torch.float64)
     for axis in geometry.positions.unbind(-1):
@@ -81,6 +82,7 @@ def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]
 def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: Stages) -> Solution:
     """Transfer of all receivers of `job`, which are those that reflect; bounces need a store for their hits."""
     direct = trace(job, stages, keep_hits=bounces > 0)
+    direct = job.filled(direct.T.contiguous()).T
     if not bounces:
         return Solution(job.through(direct.T).T[None], direct[None])
     assert stages.store is not None
@@ -94,11 +96,15 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
         added = torch.empty_like(total)
         for task, found in stages.run(f"bounce {count + 1}", tasks, stages.store, exitant):
             added[task.index] = found["arriving"]
+        if bounces == math.inf and not count and not bool(added.any()):
+            # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
+            return Solution(job.through(direct.T).T[None], direct[None])
+        job.filled(added)
         # The sum of all bounces is one more gather from the sum of all but the last.
         sent = scale * job.through(total)
         total = total + added
         count += 1
-        if bounces == math.inf and added.norm() <= ENERGY * total.norm():
+        if bounces == math.inf and added.norm() <= job.enough * total.norm():
             break
     arriving = channels_first(total, job.channels)
     shown = arriving if job.sheets is None else channels_first(job.through(total), job.channels)

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from torchprt.transport.glossy import Exitant
 from torchprt.transport.glossy_tasks import GlossyBounce, GlossyJob, GlossyTrace, Recorded
-from torchprt.transport.solve import ENERGY
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
 
@@ -50,9 +49,13 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
         if len(recorded) > 1 and count == bounces - 1:
             break
         added = _bounce(task, exitant(task, added), recorded[0], stages, count + 1)
+        if bounces == math.inf and not count and not added.norm():
+            # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
+            last, columns = direct[-1], task.job.order**2
+            return GlossySolution(Arrived(last.diffuse[:, :columns], last.matrix[..., : task.recording.columns]))
         total = Arrived(total.diffuse + added.diffuse, total.matrix + added.matrix)
         count += 1
-        if bounces == math.inf and added.norm() <= ENERGY * total.norm():
+        if bounces == math.inf and added.norm() <= task.job.enough * total.norm():
             break
     if len(recorded) == 1:
         return GlossySolution(total, sent, count)
@@ -88,6 +91,9 @@ def _trace(task: GlossyJob, recorded: tuple[Recorded, ...], stages: Stages, *, k
         diffuse[chunk.index] = found["transfer"].T
         for number, matrix in enumerate(matrices):
             matrix[glossy.among(chunk.index)] = found[f"matrix{number}"]
+    job.filled(diffuse)
+    for matrix in matrices:
+        task.filled(matrix)
     return [Arrived(diffuse.repeat(1, channels), matrix.repeat(1, 1, channels)) for matrix in matrices]
 
 
@@ -102,4 +108,6 @@ def _bounce(task: GlossyJob, sent: Exitant, recorded: Recorded, stages: Stages, 
     for chunk, found in stages.run(f"bounce {bounce}", tasks, task, sent, stages.store):
         added.diffuse[chunk.index] = found["arriving"]
         added.matrix[task.glossy.among(chunk.index)] = found["matrix"]
+    job.filled(added.diffuse)
+    task.filled(added.matrix)
     return added

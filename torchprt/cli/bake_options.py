@@ -1,0 +1,201 @@
+"""What a bake can be told, by whoever bakes: the verb itself, or one that bakes on the way."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from torchprt.cli import options
+from torchprt.cli.report import complain, describe, say
+from torchprt.errors import InputError
+
+if TYPE_CHECKING:
+    from torchprt.scene import Scene
+    from torchprt.transfer import Transfer
+
+ORDER, RAYS, BOUNCES = 5, 1024, "auto"
+# Panels of --help.
+SCENE, BAKE = "Scene", "Bake"
+LOWEST = "auto"
+"""The height of a ground that is given without one."""
+
+Order = Annotated[
+    int | None,
+    typer.Option(
+        "--order",
+        rich_help_panel=BAKE,
+        min=1,
+        max=64,
+        help="SH bands of the light that it will answer to.",
+        show_default="5",
+    ),
+]
+Rays = Annotated[
+    int | None,
+    typer.Option(
+        "--rays",
+        rich_help_panel=BAKE,
+        min=1,
+        max=1 << 22,
+        help="Rays a vertex, over its hemisphere.",
+        show_default="1024",
+    ),
+]
+Bounces = Annotated[
+    str | None,
+    typer.Option(
+        "--bounces",
+        rich_help_panel=BAKE,
+        help="How often light is reflected on: 0, 1, 2, ..., inf, or auto: until one adds less than 1 %.",
+        show_default="auto",
+    ),
+]
+Albedo = Annotated[
+    str | None,
+    typer.Option(
+        "--albedo",
+        rich_help_panel=SCENE,
+        help="0.5, or r,g,b, or vertex for the colours in the file.",
+        show_default="0.5, under a gloss 0",
+    ),
+]
+Gloss = Annotated[
+    str | None,
+    typer.Option(
+        "--material",
+        rich_help_panel=SCENE,
+        help="phong:40 blinn:40 ggx:0.3 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 or a .toml file.",
+    ),
+]
+Specular = Annotated[
+    str | None, typer.Option("--specular", rich_help_panel=SCENE, help="Weight of the gloss: 0.5, or r,g,b.")
+]
+TwoSided = Annotated[bool, typer.Option("--two-sided", rich_help_panel=SCENE, help="Surfaces reflect with both sides.")]
+Blocker = Annotated[
+    list[Path] | None,
+    typer.Option("--blocker", rich_help_panel=SCENE, help="A mesh that only casts shadows (repeatable)."),
+]
+Ground = Annotated[
+    str | None,
+    typer.Option(
+        "--ground",
+        rich_help_panel=SCENE,
+        metavar="[HEIGHT]",
+        help="A ground that receives the shadow, at this y or at the lowest point.",
+    ),
+]
+GroundAlbedo = Annotated[
+    str | None,
+    typer.Option("--ground-albedo", rich_help_panel=SCENE, help="Of the ground: 0.5, or r,g,b.", show_default="0.5"),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option("--seed", rich_help_panel=BAKE, min=0, help="Turns the set of directions.", show_default="0"),
+]
+CPUs = Annotated[
+    int | None, typer.Option("--threads", rich_help_panel=BAKE, min=1, help="As many as there are cores by default.")
+]
+OutputOrder = Annotated[
+    int | None,
+    typer.Option(
+        "--output-order",
+        rich_help_panel=BAKE,
+        min=1,
+        max=32,
+        help="Gloss: bands toward the eye.",
+        show_default="as --order",
+    ),
+]
+Keep = Annotated[
+    Path | None,
+    typer.Option("--bake", rich_help_panel=BAKE, help="Keep what is baked on the way in this .safetensors."),
+]
+WithGround = Annotated[
+    bool, typer.Option("--with-ground", help="The ground of the bake is part of the model: framed, whole, written.")
+]
+
+
+class GroundCommand(TyperCommand):
+    """A verb whose --ground may stand alone."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, spelled_out(args))
+
+
+def spelled_out(arguments: Sequence[str]) -> list[str]:
+    """The arguments with a height after every --ground: the lowest point where no number follows."""
+    found: list[str] = []
+    for number, word in enumerate(arguments):
+        found.append(word)
+        following = arguments[number + 1] if number + 1 < len(arguments) else ""
+        if word == "--ground" and following != LOWEST and not _is_number(following):
+            found.append(LOWEST)
+    return found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def scene_of(
+    meshes: Sequence[Path],
+    *,
+    albedo: str | None,
+    material: str | None,
+    specular: str | None,
+    two_sided: bool,
+    blocker: Sequence[Path] | None,
+    ground: str | None,
+    ground_albedo: str | None,
+) -> Scene:
+    """The scene that these options say."""
+    height, floor = None, 0.5 if ground_albedo is None else options.colour(ground_albedo, "--ground-albedo")
+    if ground is None and ground_albedo is not None:
+        raise InputError(f"--ground-albedo is '{ground_albedo}', but there is no ground: give --ground too")
+    if ground is not None and ground != LOWEST:
+        (height,) = options.numbers(ground, 1, "--ground")
+    colour, surface = options.albedo(albedo), options.material(material, specular)
+    from torchprt.scene import load
+
+    scene = load(meshes, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)
+    return scene if ground is None else scene.on_ground(height, floor)
+
+
+def baked(scene: Scene, output: Path | None, *, half: bool = False, **arguments: Any) -> Transfer:
+    """The bake of a scene, told of; kept in `output`, and on the way there in a folder beside it, if there is one."""
+    import torch
+
+    from torchprt.transfer import save
+    from torchprt.transport import bake
+
+    folder = (
+        None if output is None or not arguments.get("shadows", True) else output.with_name(output.name + ".partial")
+    )
+    start = time.perf_counter()
+    try:
+        transfer = bake(scene, checkpoint=folder, keep=True, **arguments)
+    except KeyboardInterrupt:
+        kept = ""
+        if folder is not None and folder.exists():
+            kept = f"; {folder} keeps what is done, the same command goes on from there"
+        complain(f"stopped{kept}")
+        raise typer.Exit(130) from None
+    if half:
+        transfer = transfer.to(torch.float16)
+    if output is not None:
+        save(transfer, output)
+    if folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)
+    name = f"{output}: " if output is not None else ""
+    say(f"\n{name}{describe(transfer)}, baked in {time.perf_counter() - start:.1f} s")
+    return transfer
