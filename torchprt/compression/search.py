@@ -107,7 +107,8 @@ def candidates(
             for components, squared in enumerate((curve[: most + 1] / power).tolist()):
                 for shared in shares:
                     size = stored_bytes(points, numbers, clusters, components, shared, bits)
-                    found.append(Sizes(clusters, components, shared, size, squared, left[shared - 1] if shared else 0.0))
+                    cut = left[shared - 1] if shared else 0.0
+                    found.append(Sizes(clusters, components, shared, size, squared, cut))
     return found
 
 
