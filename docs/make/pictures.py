@@ -150,7 +150,7 @@ def teapot() -> Tensor:
     """Copper under one lamp: unshadowed, with the shadows of knob and spout, and with the spout in the body."""
     order, size = 8, (420, 290)
     copper = Material(0.06, gloss="ggx:0.2", specular=(0.9, 0.62, 0.5))
-    scene = samples.teapot(20_000, copper)
+    scene = samples.teapot(40_000, copper)
     options: dict[str, Any] = {"order": order, "rays": 512, "progress": False}
     bakes = [bake(scene, **options, shadows=False), bake(scene, **options), bake(scene, **options, bounces=1)]
     lamp = light.disc((-0.8, 0.75, -0.25), math.radians(14), (1.0, 0.8, 0.6), order, normalise=True)
@@ -162,7 +162,7 @@ def teapot() -> Tensor:
     radiance = [seen_from(each, lamps, camera) for each in bakes]
     radiance.append(4 * (radiance[2] - radiance[1]).clamp(min=0))
     labels = ["unshadowed", "shadows", "shadows and one bounce", "what the bounce adds, four times as bright"]
-    pictures = [still.picture(each, exposure=-0.2, background=0.01) for each in radiance]
+    pictures = [still.picture(each, exposure=0.5, background=0.01) for each in radiance]
     return preview.sheet(pictures, labels, columns=2)
 
 

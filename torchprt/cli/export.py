@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
 from torchprt.cli.environments import WORDS, light_of
 from torchprt.cli.export_page import export_page
 from torchprt.cli.report import say
@@ -54,6 +54,7 @@ def export(
     order: Annotated[
         int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
     ] = None,
+    with_ground: bake_options.WithGround = False,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -78,11 +79,15 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if with_ground and not web and ends == ".onnx":
+        raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
+    if ends != ".onnx" and not with_ground:
+        loaded = loaded.without_ground()
     chosen = options.gloss_of(loaded, material)
     if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen)
+        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen, with_ground)
     if ends == ".glb":
         return _export_mesh(loaded, output, order)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)

@@ -30,7 +30,7 @@ def info(file: Annotated[Path, typer.Argument(help="A transfer, an .onnx, a ligh
         coefficients = prt.light.read_coefficients(file)
         order = math.isqrt(len(coefficients))
         say(f"{file}: light of order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")
-    elif suffix in (".ply", ".obj", ".glb", ".gltf", ".stl", ".off"):
+    elif suffix in (".ply", ".obj", ".glb", ".gltf", ".stl", ".off", ".toml"):
         say(prt.load(file))
     else:
         image, report = prt.light.read_with_report(file, repair=True)

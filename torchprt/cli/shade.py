@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
 from torchprt.cli import picture_options as asked
 from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
@@ -38,6 +38,7 @@ def shade(
         list[Path] | None, typer.Option(help="Of zonal lobes: the baked mesh, its vertices moved (repeat as in bake).")
     ] = None,
     material: options.OpenGloss = None,
+    with_ground: bake_options.WithGround = False,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
     size: asked.Size = asked.SIZE,
@@ -80,6 +81,8 @@ def shade(
     )
     seen = options.eye(eye, toward)
     loaded = prt.load_transfer(transfer)
+    if with_ground:
+        loaded = loaded.with_ground()
     rest, moved = loaded, dict[str, torch.Tensor]()
     if pose:
         loaded, moved = in_pose(rest, pose)
@@ -101,6 +104,9 @@ def shade(
         least = float(radiance.min())
         share = f"{negative} of {count(len(radiance), 'vertex')}"
         say(f"negative radiance at {share}, down to {least:.3g}: {fault}")
+    model = loaded.without_ground()
+    if ends in (".ply", ".glb") and model is not loaded:
+        loaded, radiance = model, radiance[~loaded.receivers.ground()]
     if framed is not None:
         preview.save_png(studio.picture(framed, picture.rotation, radiance), output)
     elif ends == ".ply":

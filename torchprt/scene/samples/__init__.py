@@ -7,6 +7,7 @@ from .head import head
 from .organic import organic
 from .patches import bumps, waffle, wrinkles
 from .plane_and_blocker import plane_and_blocker
+from .still_life import still_life
 from .teapot import teapot
 from .vase import vase
 from .wing import flap, wing, wing_rig, wing_translucency
@@ -20,6 +21,7 @@ __all__ = [
     "head",
     "organic",
     "plane_and_blocker",
+    "still_life",
     "teapot",
     "vase",
     "waffle",
