@@ -12,6 +12,7 @@ from transfers import random_glossy, replaced
 
 from torchprt.preview import automatic_exposure, built_in_environment, colours, linear_colours
 from torchprt.scene import read_mesh
+from torchprt.scene.gltf import Document, pieces
 from torchprt.transfer import load, save
 
 EPSILON = np.finfo(np.float32).eps
@@ -236,6 +237,23 @@ def test_a_fixed_light_leaves_as_gltf_with_linear_colours(done, folder, tmp_path
     np.testing.assert_array_equal(mesh.faces, bake.faces)
     expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")), 0.5)
     np.testing.assert_array_equal(mesh.visual.vertex_attributes["color"], expected)
+
+
+def test_a_fixed_light_keeps_the_gltf_that_was_baked(done, folder, tmp_path):
+    ball = trimesh.load(folder / "ball.ply", process=False)
+    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2])
+    ball.export(tmp_path / "ball.glb")
+    done("bake", tmp_path / "ball.glb", "-o", tmp_path / "a.safetensors", "--unshadowed", "--order", 3)
+    said = done("shade", tmp_path / "a.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "lit.glb")
+    assert f"keeps what {tmp_path / 'ball.glb'} holds" in said
+    done("shade", tmp_path / "a.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.npy")
+    content = (tmp_path / "lit.glb").read_bytes()
+    assert b"KHR_materials_unlit" in content
+    assert b"TEXCOORD_0" in content
+    # White without a picture: COLOR_0 is what is seen.
+    expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")))
+    (piece,) = pieces(Document.read(tmp_path / "lit.glb")).pieces
+    np.testing.assert_array_equal(piece.colours, expected)
 
 
 # Windows

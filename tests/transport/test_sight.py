@@ -94,7 +94,7 @@ def test_sight_must_be_known_and_one_a_vertex():
 @pytest.mark.parametrize(
     "scene",
     [
-        lambda: samples.organic(16_000),
+        lambda: samples.organic(20_000),
         lambda: samples.plane_and_blocker(),
         lambda: Scene([Object(square(2.0, 9), Material(0.5, two_sided=True))]),
         lambda: Scene([Object(square(2.0, 9)), Object(square(1.0, 5, height=0.2), role="blocker")]),

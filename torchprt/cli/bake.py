@@ -14,7 +14,8 @@ from torchprt.files import check_writable
 
 def bake(
     mesh: Annotated[
-        list[Path], typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off; or a scene, .toml")
+        list[Path],
+        typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off .usd; or a scene, .toml"),
     ],
     output: options.Output,
     order: bake_options.Order = None,

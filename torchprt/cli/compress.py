@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from torchprt.transfer import Transfer
 
-METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
 
 
@@ -64,7 +63,7 @@ def compress(
     from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
-    chosen = options.choice(method, "--method", METHODS)
+    chosen = options.choice(method, "--method", options.METHODS)
     target = None if error is None else fraction(error, "--error")
     size = None if bytes is None else byte_count(bytes, "--bytes")
     added = fraction(coherence, "--coherence")

@@ -110,7 +110,7 @@ class _Cover:
         starts = np.cumsum([0] + [len(object.mesh.positions) for object in objects[:-1]]).tolist()
         self._positions = torch.cat([object.mesh.positions for object in objects])
         self._faces = torch.cat([o.mesh.faces + start for o, start in zip(objects, starts, strict=True)])
-        self._sheet = torch.cat([torch.full((len(o.mesh.faces),), o.material.two_sided) for o in objects])
+        self._sheet = torch.cat([o.two_sided[o.mesh.faces].all(1) for o in objects])
         self._tracer = Tracer(self._positions, self._faces)
         self._close = close
 
