@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torchprt.errors import InputError
 
-MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off")
+MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
 IMAGES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif")
 VIDEOS = (".mp4",)
 # What one picture is written as, several one after the other, and what holds opacity.

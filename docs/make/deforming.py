@@ -214,8 +214,12 @@ def cylinders() -> dict[str, tuple[Mesh, Tensor, Tensor]]:
     mesh = samples.cylinder(150).objects[0].mesh
     assert mesh.uv is not None
     depth = (math.pi * mesh.positions[:, 1] / 3).sin()
-    positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
-    deformed = twist(bend(carved(mesh, depth), 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+
+    def posed(places: Tensor) -> Tensor:
+        # Turned evenly from end to end: where a twist begins, normals break, which would be seen as a line.
+        return bend(twist(places, 0.6, 0.0, 3.0), 0.7, 0.3, 2.7)
+
+    positions, deformed = posed(mesh.positions), posed(carved(mesh, depth))
     # u counts grooves, v is their depth; so they are no chart, and frames come from that of the mesh.
     uv = torch.stack([mesh.uv[..., 0] * GROOVES, depth[mesh.faces]], -1)
     frames = surface_frames(mesh.positions, mesh.faces, mesh.uv, mesh.normals).float()
@@ -234,7 +238,11 @@ def wrinkled() -> Tensor:
     camera = preview.frame(positions, (-0.25, 0.2, 1.0), aspect=0.6)
     pictures = []
     for _, points, radiance in found.values():
-        still = preview.Still(points, mesh.faces, size=(270, 450), camera=camera, samples=9)
+        # The tube is open: what its end would show of the inside has the light of the outside.
+        first, second, third = points[mesh.faces].unbind(1)
+        normals = torch.linalg.cross(second - first, third - first)
+        outside = (normals * (torch.tensor(camera.eye).double() - first)).sum(-1) > 0
+        still = preview.Still(points, mesh.faces[outside], size=(270, 450), camera=camera, samples=9)
         pictures.append(still.picture(radiance))
     return preview.sheet(pictures, list(found), columns=4)
 

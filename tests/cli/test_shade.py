@@ -8,6 +8,7 @@ import pytest
 import torch
 import trimesh
 from environments import lamp, save_exr
+from PIL import Image
 from transfers import random_glossy, replaced
 
 from torchprt.preview import automatic_exposure, built_in_environment, colours, linear_colours
@@ -241,20 +242,21 @@ def test_a_fixed_light_leaves_as_gltf_with_linear_colours(done, folder, tmp_path
 
 def test_a_fixed_light_keeps_the_gltf_that_was_baked(done, folder, tmp_path):
     ball = trimesh.load(folder / "ball.ply", process=False)
-    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2])
+    grey = Image.new("RGB", (2, 2), (188, 188, 188))
+    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2], image=grey)
     ball.export(tmp_path / "ball.glb")
     done("bake", tmp_path / "ball.glb", "-o", tmp_path / "a.safetensors", "--unshadowed", "--order", 3)
-    options = ["--light", folder / "lamp.exr", "--exposure", 0]
-    said = done("shade", tmp_path / "a.safetensors", "-o", tmp_path / "lit.glb", *options)
+    options = ["--light", folder / "lamp.exr", "--exposure", -3, "--tone", "none"]
+    said = done("shade", tmp_path / "a.safetensors", *options, "-o", tmp_path / "lit.glb")
     assert f"keeps what {tmp_path / 'ball.glb'} holds" in said
-    done("shade", tmp_path / "a.safetensors", "-o", tmp_path / "a.npy", *options)
+    done("shade", tmp_path / "a.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.npy")
     content = (tmp_path / "lit.glb").read_bytes()
     assert b"KHR_materials_unlit" in content
     assert b"TEXCOORD_0" in content
-    # White without a picture: COLOR_0 is what is seen.
-    expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")))
+    expected = linear_colours(torch.from_numpy(np.load(tmp_path / "a.npy")), -3.0, "none")
     (piece,) = pieces(Document.read(tmp_path / "lit.glb")).pieces
-    np.testing.assert_array_equal(piece.colours, expected)
+    # 188 of 255 in sRGB is .5028865 in linear numbers, and times COLOR_0 it is what is seen.
+    np.testing.assert_allclose(0.5028865 * piece.colours, expected, rtol=1e-5, atol=1e-7)
 
 
 # Windows

@@ -24,7 +24,7 @@ def bake(
     albedo: bake_options.Albedo = None,
     material: bake_options.Gloss = None,
     specular: bake_options.Specular = None,
-    two_sided: bake_options.TwoSided = False,
+    two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,

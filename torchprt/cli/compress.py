@@ -12,6 +12,7 @@ import typer
 
 from torchprt.cli import options
 from torchprt.cli.environments import light_of
+from torchprt.cli.one_bar import OneBar
 from torchprt.cli.report import complain, describe, details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -72,7 +73,8 @@ def compress(
     partial = output.with_name(output.name + ".partial")
     start = time.perf_counter()
     try:
-        with Bar() as bar:
+        with Bar(rates=False) as bar:
+            told = OneBar(bar, "compress", searching=target is not None or size is not None)
             packed = room.compress(
                 loaded,
                 layer=layer,
@@ -86,10 +88,11 @@ def compress(
                 coherence=added,
                 importance=weight,
                 seed=seed,
-                report=bar,
+                report=told,
                 checkpoint=partial,
                 keep=True,
             )
+            told.end()
         if superclusters is not None:
             packed = room.reorder(packed, superclusters)
     except KeyboardInterrupt:

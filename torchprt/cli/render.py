@@ -64,7 +64,7 @@ def render(
     threads: bake_options.CPUs = None,
     albedo: bake_options.Albedo = None,
     specular: bake_options.Specular = None,
-    two_sided: bake_options.TwoSided = False,
+    two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,

@@ -21,8 +21,8 @@ from torchprt.transfer import Transfer
 UNLIT = "KHR_materials_unlit"
 Values = Mapping[str, Float[Tensor, "V width"]]
 Primitive = dict[str, Any]
-Drawn = Callable[[AssetFile, Piece, Primitive, slice, slice | None], list[Primitive]]
-"""What becomes of a primitive whose vertices and reverse sides are these rows."""
+Drawn = Callable[[AssetFile, Piece, Primitive, slice, np.ndarray | None], list[Primitive]]
+"""What becomes of a primitive whose vertices are these rows, and their reverse sides those, or -1."""
 
 
 def keep(asset: Asset, primitives: Drawn, extras: Mapping[str, Any] | None = None) -> AssetFile:
@@ -101,11 +101,14 @@ def keep_attributes(asset: Asset, transfer: Transfer, values: Values, extras: Ma
     ordered = {name: transfer.receivers.in_mesh_order(value) for name, value in values.items()}
     arrays = {name: numbers(value) for name, value in ordered.items()}
 
-    def drawn(file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: slice | None) -> list[Primitive]:
+    def drawn(
+        file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: np.ndarray | None
+    ) -> list[Primitive]:
         for name, array in arrays.items():
             entry["attributes"][name] = file.accessor(array[front])
             if back is not None:
-                entry["attributes"][name.replace("_PRT", "_PRT_BACK", 1)] = file.accessor(array[back])
+                reverse = np.where(back[:, None] < 0, 0, array[back]).astype("<f4")
+                entry["attributes"][name.replace("_PRT", "_PRT_BACK", 1)] = file.accessor(reverse)
         return [entry]
 
     file = keep(asset, drawn, extras)
@@ -121,7 +124,7 @@ def add_others(file: AssetFile, asset: Asset, transfer: Transfer, values: Values
     arrays |= {name: numbers(value) for name, value in values.items()}
     order = receivers.in_mesh_order(torch.arange(transfer.vertices, dtype=torch.float64)[:, None])[:, 0].long()
     faces = order.argsort()[transfer.faces.long().cpu()].numpy()
-    kept = {rows.start for rows in (asset.front, asset.back) if rows is not None}
+    kept = {asset.front.start, -1 if asset.back is None else int(asset.back[asset.back >= 0].min(initial=len(order)))}
     for each in (each for each in objects_of(transfer) if each["rows"][0] not in kept):
         first, end = each["rows"]
         name, rows = Path(each["name"]).name, slice(first, end)

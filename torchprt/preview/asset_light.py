@@ -88,17 +88,18 @@ class _Lit:
         self._unlit: dict[tuple[int | None, bool], int] = {}
 
     def __call__(
-        self, file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: slice | None
+        self, file: AssetFile, piece: Piece, entry: Primitive, front: slice, back: np.ndarray | None
     ) -> list[Primitive]:
         file.extend(UNLIT)
         entry["material"] = self._material(file, entry.get("material"), back is not None)
         # A viewer that offers variants would put lit materials back.
         entry.get("extensions", {}).pop(VARIANTS, None)
-        sides = [(entry, front)]
+        base = self.base[front.start - self.start : front.stop - self.start]
+        sides = [(entry, self.colours[front])]
         if back is not None:
-            sides.append((_reverse(file, piece, entry), back))
-        for each, rows in sides:
-            values = (self.colours[rows] / self.base[front.start - self.start : front.stop - self.start]).astype("<f4")
+            sides.append((_reverse(file, piece, entry, back), self.colours[back]))
+        for each, colours in sides:
+            values = (colours / base).astype("<f4")
             self.brightest = max(self.brightest, float(values.max(initial=0)))
             if piece.colours is not None and piece.colours.shape[1] == 4:
                 values = np.concatenate([values, piece.colours[:, 3:].astype("<f4")], axis=1)
@@ -123,9 +124,9 @@ class _Lit:
         return self._unlit[number, single]
 
 
-def _reverse(file: AssetFile, piece: Piece, entry: Primitive) -> Primitive:
-    """The same, seen from the other side."""
-    faces = piece.faces if piece.mirrored else piece.faces[:, ::-1]
+def _reverse(file: AssetFile, piece: Piece, entry: Primitive, back: np.ndarray) -> Primitive:
+    """The same, seen from the other side, where that was recorded."""
+    faces = (piece.faces if piece.mirrored else piece.faces[:, ::-1])[(back[piece.faces] >= 0).all(axis=1)]
     indices = file.accessor(faces.reshape(-1, 1).astype("<u4"), indices=True)
     result = {**copy.deepcopy(entry), "indices": indices, "mode": 4}
     # Of no use without light, and of the first side.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from torchprt.errors import InputError
 from torchprt.scene.gltf import Document, Piece, pieces
@@ -28,17 +28,17 @@ class Asset:
     pieces: Sequence[Piece]
     front: slice
     """The rows of its vertices, piece after piece."""
-    back: slice | None
-    """The rows of their reverse sides, if they were recorded."""
+    back: Int[np.ndarray, "v"] | None
+    """The row of the reverse side of each of them, -1 where it was not recorded; None if it was nowhere."""
     place: Float64[np.ndarray, "4 4"]
     """From the world of the file to that of the bake."""
 
-    def rows(self) -> list[tuple[Piece, slice, slice | None]]:
-        """Every piece with the rows of its vertices and of their reverse sides."""
+    def rows(self) -> list[tuple[Piece, slice, Int[np.ndarray, "v"] | None]]:
+        """Every piece with the rows of its vertices, and as `back` has them those of their reverse sides."""
         result, start = [], 0
         for piece in self.pieces:
             end = start + len(piece.positions)
-            back = None if self.back is None else slice(self.back.start + start, self.back.start + end)
+            back = None if self.back is None or (self.back[start:end] < 0).all() else self.back[start:end]
             result.append((piece, slice(self.front.start + start, self.front.start + end), back))
             start = end
         return result
@@ -101,17 +101,44 @@ def _fit(
 ) -> Asset | None:
     """The asset, if its vertices are those of the rows that `front` names."""
     rows = slice(*front["rows"])
-    # The reverse sides follow in the order of the fronts; one file may be there twice.
-    fronts = [each for each in objects if each["side"] == "front" and each["name"] == front["name"]]
-    backs = [each for each in objects if each["side"] == "back" and each["name"] == front["name"]]
-    number = fronts.index(front)
-    back = slice(*backs[number]["rows"]) if len(backs) == len(fronts) else None
-    there = transfer.receivers.in_mesh_order(transfer.positions.double()).cpu().numpy()[rows]
+    there = transfer.receivers.in_mesh_order(transfer.positions.double()).cpu().numpy()
     here = np.concatenate([np.zeros((0, 3)), *(piece.positions for piece in found)])
-    for place in (np.eye(4), _similarity(here, there)):
+    size = np.ptp(there[rows], axis=0).max(initial=0)
+    for place in (np.eye(4), _similarity(here, there[rows])):
         moved = here @ place[:3, :3].T + place[:3, 3]
-        if np.abs(moved - there).max(initial=0) <= NEAR * np.ptp(there, axis=0).max(initial=0):
-            return Asset(document, found, rows, back, place)
+        if np.abs(moved - there[rows]).max(initial=0) <= NEAR * size:
+            return Asset(document, found, rows, _backs(document, found, there, front, objects), place)
+    return None
+
+
+def _backs(
+    document: Document,
+    found: list[Piece],
+    positions: Float64[np.ndarray, "V 3"],
+    front: dict[str, Any],
+    objects: list[dict[str, Any]],
+) -> Int[np.ndarray, "v"] | None:
+    """The row of the reverse side of each vertex: of all, or of those that faces of double-sided materials have."""
+    # The reverse sides follow in the order of the fronts; one file may be there twice.
+    same = [
+        [each for each in objects if (each["side"], each["name"]) == (side, front["name"])]
+        for side in ("front", "back")
+    ]
+    number = same[0].index(front)
+    if len(same[0]) != len(same[1]):
+        return None
+    (first, end), (back, last) = front["rows"], same[1][number]["rows"]
+    chosen, start = np.zeros(end - first, bool), 0
+    for piece in found:
+        material = {} if piece.material is None else document.entry("materials", piece.material)
+        if material.get("doubleSided"):
+            chosen[start + np.unique(piece.faces)] = True
+        start += len(piece.positions)
+    for some in (np.arange(end - first), np.flatnonzero(chosen)):
+        if len(some) == last - back and np.array_equal(positions[first:end][some], positions[back:last]):
+            result = np.full(end - first, -1)
+            result[some] = np.arange(back, last)
+            return result
     return None
 
 

@@ -19,7 +19,7 @@ from .material_file import read_material
 from .mesh import Mesh
 from .object import Object
 from .paint import Paint, listed
-from .surface import Look, Surface, read_surface
+from .surface import Surface, read_surface
 
 Source = str | os.PathLike[str] | Mesh
 """A mesh, or the name of the file that holds it."""
@@ -66,6 +66,10 @@ def object_of(
                 chosen = replace(_given(material, None), albedo=chosen.albedo, notes=chosen.notes)
         else:
             chosen = _given(material, albedo)
+            if material is None and albedo is None and surface.paints:
+                # It may have lost them with a file that is not there.
+                notes = [f"The file says no colour: albedo {chosen.albedo:g}.", *_notes(surface, (), gloss=False)]
+                chosen = replace(chosen, notes=tuple(notes))
         if material is None and not whole:
             chosen = replace(chosen, two_sided=surface.two_sided)
         if whole and not told and albedo is not None:
@@ -93,15 +97,15 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
     Source: the specification of glTF 2.0, appendix B.
     """
     look = surface.look(gloss)
-    notes = _notes(surface, look, gloss)
+    notes = _notes(surface, look.notes, gloss)
     body, said = _shares(look.diffuse + (0 if gloss else look.metal))
     if said:
         notes.append(f"Colours {said}.")
     if float(body.max(initial=0)) > BRIGHT:
         count = int((body.max(axis=1) > BRIGHT).sum())
         notes.append(
-            f"Albedo reaches {body.max():.3g}, at {count} vertices above {BRIGHT:g}, which no real surface has: light "
-            "that bounces there dies slowly."
+            f"Albedo reaches {body.max():.3g}, at {count} vertices above {BRIGHT:g}: light that "
+            "bounces there dies slowly."
         )
     two_sided = surface.two_sided
     if not gloss:
@@ -149,7 +153,7 @@ def _shares(values: np.ndarray) -> tuple[np.ndarray, str]:
     return np.clip(np.where(finite, values, 0.5), 0, 1), " and ".join(words)
 
 
-def _notes(surface: Surface, look: Look, gloss: bool) -> list[str]:
+def _notes(surface: Surface, said: Iterable[str], gloss: bool) -> list[str]:
     """What is taken of the file and what is left, in sentences."""
     used = surface.used
     notes = []
@@ -174,10 +178,10 @@ def _notes(surface: Surface, look: Look, gloss: bool) -> list[str]:
         words = ", ".join(f"{what} of {listed(names)}" for what, names in left.items())
         notes.append(f"Left out: {words}.{' Material file takes the gloss.' if 'gloss' in left else ''}")
     metals = [paint.name for paint in used if paint.metallic > 0 and paint.gloss_map is None]
-    if metals and not gloss:
+    if metals and taken and not gloss:
         notes.append(f"Metal is taken as diffuse, of its base colour: {listed(metals)}.")
     notes += [f"'{paint.name}' {note}." for paint in used for note in paint.notes]
-    notes += [note if note.endswith(".") else f"{note}." for note in look.notes]
+    notes += [note if note.endswith(".") else f"{note}." for note in said]
     notes += _sides(surface, used)
     return notes
 

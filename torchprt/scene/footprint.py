@@ -15,6 +15,9 @@ DENSITY = 2.0
 """Samples for a texel, along each direction. At two the linear interpolation between texels leaves no alias of any
 pattern above .1 % of its contrast."""
 
+LEAST = 16
+"""Samples along a side of a face that lies within a texel: colours between texels are curved, too."""
+
 LARGEST = 2**16
 """Samples of a face: 256 across, so that a smaller picture, where it takes one, is blurred by less than half a percent
 of the face."""
@@ -79,15 +82,15 @@ def _plan(
         twice_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
         spans.append((np.linalg.norm(sides, axis=2), twice_area))
     if not spans:
-        fixed = np.full(count, STEPS[0])
+        fixed = np.full(count, LEAST)
         return fixed, fixed, np.zeros(count, int), []
     finest = max(range(len(spans)), key=lambda number: float(spans[number][1].sum()))
     first = spans[finest][0].argmax(axis=1)
     row = np.arange(count)
     lengths = [sides[row, first] for sides, _ in spans]
     heights = [area / np.maximum(length, 1e-12) for (_, area), length in zip(spans, lengths, strict=True)]
-    along = np.maximum(DENSITY * np.max(lengths, axis=0), STEPS[0])
-    across = np.maximum(DENSITY * np.max(heights, axis=0), STEPS[0])
+    along = np.maximum(DENSITY * np.max(lengths, axis=0), LEAST)
+    across = np.maximum(DENSITY * np.max(heights, axis=0), LEAST)
     most = float(LARGEST)
     while np.minimum(along * across / 2, most).sum() > TOTAL and most > STEPS[0] ** 2:
         most /= 2

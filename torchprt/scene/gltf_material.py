@@ -131,7 +131,7 @@ def _map(document: Document, entry: Mapping[str, Any] | None, srgb: bool) -> Map
     name = image.get("name") or ("" if uri.startswith("data:") else uri) or f"image {number}"
     sampler = document.entry("samplers", texture["sampler"]) if "sampler" in texture else {}
     moved = entry.get("extensions", {}).get(TRANSFORM, {})
-    modes = {CLAMP: "clamp", MIRROR: "mirror"}
+    modes: dict[Any, str] = {CLAMP: "clamp", MIRROR: "mirror"}
     return Map(
         Picture(name, lambda: document.image(number)[0]),
         srgb,

@@ -137,7 +137,7 @@ def _map(source: Path, words: list[str]) -> Map | None:
             clamp |= option == "-clamp" and words[at : at + 1] == ["on"]
             at += OPTIONS[option]
             continue
-        values = []
+        values: list[float] = []
         while at < len(words) and len(values) < 3 and _is_number(words[at]):
             values.append(float(words[at]))
             at += 1

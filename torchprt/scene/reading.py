@@ -211,7 +211,10 @@ def _read_ply(data: bytes, source: Path) -> list[Raw]:
             "export the mesh again"
         )
     vertex = elements["vertex"]
-    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))
+    uv = _ply_uv(vertex, faces)
+    if uv is None and "face" in elements:
+        uv = _ply_wedges(elements["face"], len(faces))
+    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), uv)
     return [_ply_materials(raw, data, source)]
 
 
@@ -224,7 +227,8 @@ def _ply_materials(raw: Raw, data: bytes, source: Path) -> Raw:
     left = ["further pictures"] if len(named) > 1 else []
     # Scanners write the same colours twice, in a picture and coarser at the vertices.
     left += ["vertex colours"] if raw.colours is not None else []
-    paint = Paint(named[0], colour_map=picture_map(source.parent / named[0]), reflectance=(0, 0, 0), left=tuple(left))
+    picture = picture_map(source.parent / named[0])
+    paint = Paint(named[0], colour_map=picture, reflectance=(0.0, 0.0, 0.0), left=tuple(left))
     return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, Paint("no material")))
 
 
@@ -261,6 +265,16 @@ def _ply_uv(vertex: dict[str, Any], faces: np.ndarray) -> np.ndarray | None:
             # A face that names no vertex is refused later, in words.
             return uv[faces] if not faces.size or 0 <= faces.min() <= faces.max() < len(uv) else None
     return None
+
+
+def _ply_wedges(face: dict[str, Any], faces: int) -> np.ndarray | None:
+    """Texture coordinates that scanners write with the faces, if all are triangles."""
+    if "texcoord" not in face["properties"]:
+        return None
+    pairs = face["data"]["texcoord"]
+    # Binary lists come with their length, text without.
+    pairs = np.asarray(pairs["f1"] if getattr(pairs, "dtype", None) is not None and pairs.dtype.names else pairs)
+    return pairs.astype(np.float64).reshape(-1, 3, 2) if pairs.shape == (faces, 6) else None
 
 
 def _read_obj(data: bytes, source: Path) -> list[Raw]:

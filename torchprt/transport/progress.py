@@ -26,11 +26,19 @@ def rate(speed: float) -> str:
 
 
 class Bar:
-    """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager."""
+    """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager.
 
-    def __init__(self) -> None:
-        columns = (TextColumn("{task.description:>9}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
-        self._progress = Progress(*columns, _Rate(), TimeRemainingColumn(), console=Console(stderr=True, quiet=quiet()))
+    `rates`: whether it says how much is done a second.
+    """
+
+    def __init__(self, rates: bool = True) -> None:
+        columns: list[ProgressColumn] = [
+            TextColumn("{task.description:>9}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
+        ]
+        columns += [_Rate()] if rates else []
+        self._progress = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True, quiet=quiet()))
         self._task: TaskID | None = None
 
     def __enter__(self) -> Bar:
