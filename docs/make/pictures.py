@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import math
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from torchprt import demo, light, preview, sh
 from torchprt.compression import compress
 from torchprt.preview.lobe import sphere
 from torchprt.preview.session import windowed as windowed_by
-from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
+from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, load, make_mesh, samples
 from torchprt.shade import display, shader
 from torchprt.trace import Tracer
 from torchprt.transfer import Clustered, Transfer
@@ -79,22 +80,23 @@ def shaded(transfer: Transfer, lamps: Tensor) -> Tensor:
         return shader(transfer)(lamps)
 
 
-def turning() -> Tensor:
-    """Three turns of an environment around the stage, each with the turned photograph."""
-    environment = light.studio(256)
-    transfer = staged(3)
-    lamps = light.project(environment, transfer.order)
-    seen = still(transfer, (420, 380))
-    small = torch.nn.functional.avg_pool2d(environment.movedim(-1, 0), 3).movedim(0, -1)
-    pictures, labels = [], []
-    for yaw in (-20, 100, 220):
-        turned = sh.rotate(lamps, sh.yaw_pitch_roll(torch.tensor([float(yaw), 0.0, 0.0])))
-        picture = seen.picture(shaded(transfer, turned), exposure=EXPOSURE)
-        inset = torch.roll(small, -round(small.shape[1] * yaw / 360), dims=1)
-        picture[-inset.shape[0] :, : inset.shape[1]] = display(inset, exposure=EXPOSURE)
-        pictures.append(picture)
-        labels.append(f"environment turned by {yaw} degrees")
-    return preview.sheet(pictures, labels, columns=3)
+def painted() -> Tensor:
+    """A model of a file, with its textures and its metal, on a ground under three lights."""
+    size = (400, 500)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "vase.glb"
+        samples.write_painted_vase(path, 150)
+        scene = load(path, material="file").on_ground(albedo=(0.62, 0.58, 0.53))
+    transfer = bake(scene, rays=1024, bounces=2, progress=False)
+    shade = shader(transfer)
+    subject = preview.subject(transfer.receivers)
+    camera = preview.frame(subject, (0.0, 0.3, 1.0), aspect=size[0] / size[1], field=28.0)
+    pictures = []
+    for name, yaw in (("studio", 0.0), ("sunset", 0.0), ("three-point", 0.0)):
+        seen = preview.built_in_environment(name, transfer.order)
+        studio = preview.Studio(transfer, shade, seen, size=size, samples=16)
+        pictures.append(studio.picture(camera, sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0]))))
+    return torch.cat(pictures, 1)
 
 
 def transport() -> Tensor:
@@ -457,7 +459,7 @@ def window() -> Tensor:
 
 
 PICTURES = {
-    "turning": turning,
+    "painted": painted,
     "transport": transport,
     "bleeding": demo.bleeding,
     "orders": demo.orders,
