@@ -56,7 +56,8 @@ class _Nodes:
         """Unpacks to `output`; gives the numbers as they will be."""
         packed, step, low = _quantised(values, kind)
         stored, scale, offset = (
-            self._tensor(part, f"{name}.{word}") for part, word in ((packed, "packed"), (step, "step"), (low, "low"))
+            self._tensor(part, f"{name}.{word}")
+            for part, word in ((packed, "packed"), (step, "step"), (low, "low"))
         )
         whole = self._node("Cast", [stored], f"{name}.whole", to=onnx.TensorProto.FLOAT)
         steps = self._node("Mul", [whole, scale], f"{name}.steps")
