@@ -1,6 +1,7 @@
 """Does a surface get the colours and the gloss that its file says, by values worked out by hand?"""
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -125,6 +126,28 @@ def test_scanners_name_a_picture_in_a_comment(tmp_path):
     # The colours of its vertices are the same once more, and coarser.
     assert albedo(path) == pytest.approx([LINEAR_188, LINEAR_128, 0], rel=1e-5)
     assert "Left out: vertex colours of 'scan.png'" in str(load(path))
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_scanners_give_texture_coordinates_to_the_corners_of_faces(tmp_path, binary):
+    (tmp_path / "scan.png").write_bytes(png(np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8)))
+    head = PLY.format("comment TextureFile scan.png\n", "") + PLY_FACES.replace(
+        "end_header", "property list uchar float texcoord\nend_header"
+    )
+    # The first face lies in the middle of red, the second in that of blue.
+    faces = [((0, 1, 2), [0.25, 0.5] * 3), ((0, 2, 3), [0.75, 0.5] * 3)]
+    if binary:
+        body = np.array([corner.split() for corner in CORNERS], "<f4").tobytes()
+        body += b"".join(struct.pack("<B3iB6f", 3, *face, 6, *uv) for face, uv in faces)
+        content = head.replace("ascii", "binary_little_endian").encode() + body
+    else:
+        lines = [f"3 {' '.join(map(str, face))} 6 {' '.join(map(str, uv))}" for face, uv in faces]
+        content = (head + "\n".join([*CORNERS, *lines]) + "\n").encode()
+    path = tmp_path / "a.ply"
+    path.write_bytes(content)
+    colours = load(path).objects[0].albedo
+    assert colours[1].tolist() == pytest.approx([1, 0, 0], abs=1e-5)
+    assert colours[3].tolist() == pytest.approx([0, 0, 1], abs=1e-5)
 
 
 # Where a picture lies

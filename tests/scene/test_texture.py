@@ -147,7 +147,7 @@ def test_a_vertex_has_the_hat_weighted_mean_of_the_texture_around_it(tmp_path, s
     wanted = hat_means(lambda at: bilinear(srgb_to_linear(texels / 255), at), positions, faces, uv)
     # The lattice has 58 000 points in a face, of up to 800 texels.
     # Beside 1 / 255, which is asked for.
-    assert np.abs(read_surface(path).look(False).diffuse - wanted).max() < 0.4 / 255
+    assert np.abs(read_surface(path).look(False).diffuse - wanted).max() < 0.5 / 255
 
 
 def test_a_texture_that_is_repeated_many_times_is_its_mean(tmp_path):

@@ -72,6 +72,8 @@ def export(
     if web:
         _refuse(graph | mesh, "a page")
     else:
+        if not ends:
+            raise InputError(f"{output} must end in .onnx or .glb; to write a page into that folder give --web")
         check_writable(output, (".onnx", ".glb"))
         _refuse(page | (graph if ends == ".glb" else mesh), f"{ends} without --web")
     start = options.choice(source or "light", "--from", ("light", "environment"))

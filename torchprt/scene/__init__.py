@@ -18,7 +18,7 @@ from .reading import read_mesh
 from .rig import Rig
 from .scene import Requirements, Scene, load
 from .scene_file import read_scene
-from .surface import Look, Surface, read_surface
+from .surface import Look, Surface, read_surface, texture_albedo
 
 __all__ = [
     "EnergyWarning",
@@ -48,6 +48,7 @@ __all__ = [
     "read_scene",
     "read_surface",
     "samples",
+    "texture_albedo",
     "tiled",
     "twist",
 ]

@@ -15,7 +15,7 @@ DENSITY = 2.0
 """Samples for a texel, along each direction. At two the linear interpolation between texels leaves no alias of any
 pattern above .1 % of its contrast."""
 
-LEAST = 24
+LEAST = 16
 """Samples along a side of a face that lies within a texel: colours between texels are curved, too."""
 
 LARGEST = 2**16

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torchprt.errors import InputError
+from torchprt.suffixes import refuse_other
 
 from .gltf import Document, Piece
 from .gltf import pieces as gltf_pieces
@@ -77,6 +78,7 @@ def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
     source = Path(path)
     reader = READERS.get(source.suffix.lower())
     if reader is None:
+        refuse_other(source, "a mesh")
         known = ", ".join(READERS)
         raise InputError(f"{source} is not a mesh file that can be read: convert it to one of {known}")
     try:
@@ -209,7 +211,10 @@ def _read_ply(data: bytes, source: Path) -> list[Raw]:
             "export the mesh again"
         )
     vertex = elements["vertex"]
-    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))
+    uv = _ply_uv(vertex, faces)
+    if uv is None and "face" in elements:
+        uv = _ply_wedges(elements["face"], len(faces))
+    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), uv)
     return [_ply_materials(raw, data, source)]
 
 
@@ -260,6 +265,16 @@ def _ply_uv(vertex: dict[str, Any], faces: np.ndarray) -> np.ndarray | None:
             # A face that names no vertex is refused later, in words.
             return uv[faces] if not faces.size or 0 <= faces.min() <= faces.max() < len(uv) else None
     return None
+
+
+def _ply_wedges(face: dict[str, Any], faces: int) -> np.ndarray | None:
+    """Texture coordinates that scanners write with the faces, if all are triangles."""
+    if "texcoord" not in face["properties"]:
+        return None
+    pairs = face["data"]["texcoord"]
+    # Binary lists come with their length, text without.
+    pairs = np.asarray(pairs["f1"] if getattr(pairs, "dtype", None) is not None and pairs.dtype.names else pairs)
+    return pairs.astype(np.float64).reshape(-1, 3, 2) if pairs.shape == (faces, 6) else None
 
 
 def _read_obj(data: bytes, source: Path) -> list[Raw]:

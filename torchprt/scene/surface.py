@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
@@ -18,7 +18,7 @@ from .footprint import surface_means
 from .mesh import Mesh
 from .paint import Paint
 from .reading import Raw, read_paints, read_raw
-from .texture import Map, Texture
+from .texture import WRAPS, Map, Picture, Texture
 from .weld import weld
 
 SMOOTH = 0.9
@@ -150,6 +150,28 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     if raw.materials.max(initial=-1) >= len(paints) - 1:
         raise InputError(f"{path} names material {raw.materials.max()} of {len(paints) - 1}: export the mesh again")
     return Surface(mesh, paints, np.where(raw.materials < 0, len(paints) - 1, raw.materials), raw)
+
+
+def texture_albedo(mesh: Mesh, texels: UInt8[np.ndarray, "H W 3"], wrap: str = "repeat") -> Float32[Tensor, "V 3"]:
+    """Albedo of the vertices of a mesh with texture coordinates under a picture of sRGB, row 0 at v = 0.
+
+    The mean over the surface around each vertex, as `Surface.look` has it.
+    Raises InputError if the mesh has no texture coordinates or if `wrap` is not "repeat", "mirror" or "clamp".
+    """
+    if mesh.uv is None:
+        raise InputError(f"{mesh.name} has no texture coordinates: give them to make_mesh as uv")
+    if wrap not in WRAPS:
+        raise InputError(f"wrap is {wrap!r}: give one of {', '.join(WRAPS)}")
+    alpha = np.full((*texels.shape[:2], 1), 255, np.uint8)
+    picture = Picture("picture", bytes, np.concatenate([texels, alpha], axis=2))
+    raw = Raw(mesh.positions.numpy(), mesh.faces.numpy(), uv=mesh.uv.numpy())
+    surface = Surface(
+        mesh,
+        (Paint("picture", colour_map=Map(picture, srgb=True, wrap=(wrap, wrap))),),
+        np.zeros(len(mesh.faces), np.int64),
+        raw,
+    )
+    return torch.from_numpy(surface.look(gloss=False).diffuse).float()
 
 
 def _sums(

@@ -118,10 +118,11 @@ def _table(kind: str, srgb: bool) -> Float32[np.ndarray, "_"]:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture that a file names, read when it is needed. `name` is for messages."""
+    """A picture that a file names, read when it is needed, or `held` in memory. `name` is for messages."""
 
     name: str
     read: Callable[[], bytes]
+    held: Shaped[np.ndarray, "H W 4"] | None = None
 
     def size(self) -> tuple[int, int]:
         """Columns and rows, by its header. Raises InputError as `texels` does."""
@@ -134,6 +135,8 @@ class Picture:
         Of colours of 16 bits the upper 8 are taken, which is as exact as a screen. Profiles are ignored, as glTF asks.
         Raises InputError if it is missing, damaged or of a kind that is not read (KTX2).
         """
+        if self.held is not None:
+            return self.held
         picture = self._open()
         try:
             if picture.mode.startswith("I;16"):

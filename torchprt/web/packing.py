@@ -37,7 +37,7 @@ def pack(path: str | os.PathLike[str]) -> None:
             continue
         values = numpy_helper.to_array(tensor)
         if not (_is_colour(values) and made.colour(tensor.name, values)):
-            made.plain(tensor.name, values, np.uint16, tensor.name)
+            made.plain(tensor.name, values, 16, tensor.name)
     nodes = [*made.nodes, *model.graph.node]
     del model.graph.node[:], model.graph.initializer[:]
     model.graph.node.extend(nodes)
@@ -52,29 +52,35 @@ class _Nodes:
         self.nodes: list[onnx.NodeProto] = []
         self.tensors: list[onnx.TensorProto] = []
 
-    def plain(self, name: str, values: np.ndarray, kind: Any, output: str) -> np.ndarray:
-        """Unpacks to `output`; gives the numbers as they will be."""
-        packed, step, low = _quantised(values, kind)
-        stored, scale, offset = (
-            self._tensor(part, f"{name}.{word}")
-            for part, word in ((packed, "packed"), (step, "step"), (low, "low"))
-        )
-        whole = self._node("Cast", [stored], f"{name}.whole", to=onnx.TensorProto.FLOAT)
+    def plain(self, name: str, values: np.ndarray, bits: int, output: str) -> np.ndarray:
+        """Unpacks to `output`; gives the numbers as they will be. 16 bits are two tensors of bytes."""
+        packed, step, low = _quantised(values, bits)
+        scale, offset = self._tensor(step, f"{name}.step"), self._tensor(low, f"{name}.low")
+        whole = self._bytes(packed & 255, f"{name}.bytes")
+        if bits > 8:
+            high = self._bytes(packed >> 8, f"{name}.high")
+            high = self._node("Mul", [high, self._tensor(np.float32(256), f"{name}.base")], f"{name}.above")
+            whole = self._node("Add", [high, whole], f"{name}.whole")
         steps = self._node("Mul", [whole, scale], f"{name}.steps")
         self._node("Add", [steps, offset], output)
         return packed.astype(np.float32) * step + low
 
+    def _bytes(self, packed: np.ndarray, name: str) -> str:
+        # Of whole numbers, builds of ONNX Runtime for WebGPU cast bytes alone.
+        stored = self._tensor(packed.astype(np.uint8), f"{name}.packed")
+        return self._node("Cast", [stored], name, to=onnx.TensorProto.FLOAT)
+
     def colour(self, name: str, values: np.ndarray) -> bool:
         """Unpacks `[3, K, V]` to `name`; false, and nothing done, if that would lose more than `COLOUR_LOSS`."""
         trial = _Nodes()
-        mean = trial.plain(f"{name}.mean", values.mean(0), np.uint16, f"{name}.mean")
+        mean = trial.plain(f"{name}.mean", values.mean(0), 16, f"{name}.mean")
         energy = (mean * mean).sum(0)
         ratio = np.where(energy > 0, (values * mean).sum(1) / np.where(energy > 0, energy, 1), 0)
         # A column that is nearly nothing in the mean can have any ratio.
         ratio = np.clip(ratio, -1, 4)[:, None].astype(np.float32)
-        ratio = trial.plain(f"{name}.ratio", ratio, np.uint8, f"{name}.ratio")
+        ratio = trial.plain(f"{name}.ratio", ratio, 8, f"{name}.ratio")
         left = values - ratio * mean
-        rest = trial.plain(f"{name}.rest", left[::2], np.uint8, f"{name}.rest")
+        rest = trial.plain(f"{name}.rest", left[::2], 8, f"{name}.rest")
         # Of green the rest is what makes the mean of the three right again.
         others = 3 * mean - (ratio[::2] * mean + rest).sum(0)
         found = np.stack([ratio[0] * mean + rest[0], others, ratio[2] * mean + rest[1]])
@@ -108,11 +114,11 @@ def _is_colour(values: np.ndarray) -> bool:
     return values.ndim == 3 and values.shape[0] == 3 and values.shape[1] >= 4 and values.shape[2] >= ROW
 
 
-def _quantised(values: np.ndarray, kind: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whole numbers of `kind`, and the float32 step and lowest number of each row (of all where rows are short)."""
+def _quantised(values: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whole numbers, and the float32 step and lowest number of each row (of all where rows are short)."""
     rows = -1 if values.shape[-1] >= ROW else None
+    most = 2**bits - 1
     low = values.min(axis=rows, keepdims=True)
-    high = values.max(axis=rows, keepdims=True)
-    step = ((high.astype(np.float64) - low) / np.iinfo(kind).max).astype(np.float32)
+    step = ((values.max(axis=rows, keepdims=True).astype(np.float64) - low) / most).astype(np.float32)
     whole = np.rint((values - low) / np.where(step > 0, step, 1))
-    return np.clip(whole, 0, np.iinfo(kind).max).astype(kind), step, low
+    return np.clip(whole, 0, most).astype(np.uint16), step, low

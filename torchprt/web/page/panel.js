@@ -75,6 +75,7 @@ function lights(viewer) {
     about.environments.map((each, index) => {
       const name = document.createElement("span");
       name.textContent = each.name;
+      pictures[index].setAttribute("alt", "");
       pictures[index].setAttribute("aria-hidden", "true");
       return [index, pictures[index], name];
     }),
