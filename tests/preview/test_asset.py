@@ -163,6 +163,33 @@ def test_pictures_beside_the_file_go_into_it(tmp_path):
     assert document.tree["images"][1:] == images[1:]
 
 
+def test_what_a_picture_names_must_be_a_picture(tmp_path):
+    (tmp_path / "secret.png").write_text("password")
+    transfer = baked(square(images=[{"uri": "secret.png"}]).save(tmp_path / "a.gltf"))
+    with pytest.warns(AssetWarning, match="is no picture"):
+        kept(transfer, tmp_path / "b.glb")
+    assert b"password" not in (tmp_path / "b.glb").read_bytes()
+
+
+def test_a_file_with_wrong_bytes_is_kept_or_refused_but_never_breaks(tmp_path):
+    made = textured(128)
+    transfer = baked(made.save(tmp_path / "a.glb"))
+    content, random, refusals = made.glb(), np.random.default_rng(2), 0
+    for _ in range(60):
+        damaged = bytearray(content)
+        for at in random.integers(12, len(content) - len(made.data), size=random.integers(1, 4)):
+            damaged[at] = random.integers(32, 127)
+        (tmp_path / "a.glb").write_bytes(bytes(damaged))
+        try:
+            asset, _ = find_asset(transfer)
+            if asset is not None:
+                save_transfer_glb(transfer, tmp_path / "b.glb", 2, asset=asset)
+                save_lit_glb(transfer, torch.ones(4, 3), tmp_path / "b.glb")
+        except InputError:
+            refusals += 1
+    assert refusals > 0
+
+
 def test_compressed_files_come_out_plain(tmp_path):
     made = square()
     made.tree["meshes"][0]["primitives"] = [draco(made, SQUARE, HALVES, NORMAL=UP, COLOR_0=np.full((4, 3), 7, "u1"))]

@@ -61,7 +61,7 @@ def test_refuses_an_empty_file(write, suffix):
 
 
 def test_refuses_an_unknown_kind_and_names_the_known_ones(write):
-    refused(write("a.png", b"1"), ".ply, .obj, .glb, .gltf, .stl, .off")
+    refused(write("a.xyz", b"1"), ".ply, .obj, .glb, .gltf, .stl, .off")
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj", "glb", "gltf", "stl", "off"])

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, objects_of
 from torchprt.preview.glb import PLAIN, unit_normals
-from torchprt.scene.gltf import INSTANCING, Nodes, Piece
+from torchprt.scene.gltf import INSTANCING, Nodes, Piece, whole
 from torchprt.transfer import Transfer
 
 UNLIT = "KHR_materials_unlit"
@@ -32,7 +32,8 @@ def keep(asset: Asset, primitives: Drawn, extras: Mapping[str, Any] | None = Non
     mesh, each gets a mesh of its own, because what was computed differs; EXT_mesh_gpu_instancing becomes nodes. Nodes
     that were not baked, of another scene, keep the mesh as it was.
     """
-    file = AssetFile(asset.document)
+    with whole(asset.document.source):
+        file = AssetFile(asset.document)
     nodes = Nodes(asset.document)
     meshes = file.tree["meshes"]
     originals = copy.deepcopy(meshes)

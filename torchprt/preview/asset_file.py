@@ -14,7 +14,7 @@ import numpy as np
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.scene.gltf import DRACO, MESHOPT, Document, as_declared, decode_draco
+from torchprt.scene.gltf import DRACO, MESHOPT, Document, as_declared, decode_draco, mime_type
 from torchprt.version import VERSION
 
 LARGEST = 2**32 - 1
@@ -142,14 +142,18 @@ class AssetFile:
             if "uri" not in image or "://" in image["uri"]:
                 continue
             try:
-                content, kind = self.document.image(number)
+                content = self.document.image(number)[0]
+                kind = mime_type(content)
+                if not kind:
+                    # A file that a picture names may be any file of this machine.
+                    raise InputError(f"{self.document.source} names {image['uri'][:80]}, which is no picture")
             except InputError as fault:
                 warnings.warn(f"{fault}; the picture is left out", AssetWarning, stacklevel=2)
                 continue
             del image["uri"]
             view: dict[str, Any] = {}
             self._place(view, content)
-            image |= {"bufferView": self._view(view)} | ({"mimeType": kind} if kind else {})
+            image |= {"bufferView": self._view(view), "mimeType": kind}
 
     def _described(self, array: np.ndarray, indices: bool, bounds: bool) -> dict[str, Any]:
         """An accessor of these rows. Those of vertices begin at multiples of four bytes, as the standard asks."""

@@ -14,7 +14,7 @@ from torchprt.preview.asset import UNLIT, Primitive, add_others, keep, numbers
 from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, find_asset
 from torchprt.preview.glb import save_glb
-from torchprt.scene.gltf import Piece
+from torchprt.scene.gltf import Piece, whole
 from torchprt.scene.surface import read_surface
 from torchprt.transfer import Transfer
 
@@ -71,7 +71,8 @@ def texture_means(asset: Asset) -> Float[np.ndarray, "V 3"]:
     surface = read_surface(asset.document.source)
     # Factors and vertex colours left out: the file that is written has neither.
     plain = tuple(replace(paint, colour=None) for paint in surface.paints)
-    return replace(surface, paints=plain, raw=surface.raw._replace(tint=None)).look(gloss=False).diffuse
+    with whole(asset.document.source):
+        return replace(surface, paints=plain, raw=surface.raw._replace(tint=None)).look(gloss=False).diffuse
 
 
 class _Lit:

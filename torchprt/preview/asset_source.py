@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from torchprt.errors import InputError
-from torchprt.scene.gltf import Document, Piece, pieces
+from torchprt.scene.gltf import Document, Piece, pieces, whole
 from torchprt.transfer import Transfer
 
 SUFFIXES = (".glb", ".gltf")
@@ -56,8 +56,7 @@ def find_asset(
     objects = objects_of(transfer)
     fronts = [each for each in objects if each["side"] == "front"]
     if given is not None:
-        document = Document.read(given)
-        found = pieces(document).pieces
+        document, found = _read(given)
         count = sum(len(piece.positions) for piece in found)
         fitting = [each for each in fronts if each["rows"][1] - each["rows"][0] == count]
         if not fitting:
@@ -77,8 +76,7 @@ def find_asset(
     path = next((each for each in (name, Path(near) / name.name) if each.is_file()), None)
     if path is None:
         return None, f"a plain mesh, as {name} is not there any more: --source says where it is"
-    document = Document.read(path)
-    found = pieces(document).pieces
+    document, found = _read(path)
     count, wanted = sum(len(piece.positions) for piece in found), named[0]["rows"][1] - named[0]["rows"][0]
     if count != wanted:
         return None, f"a plain mesh, as {path} has {count} vertices and had {wanted} when it was baked"
@@ -86,6 +84,12 @@ def find_asset(
     if asset is None:
         return None, f"a plain mesh, as the vertices of {path} have moved since it was baked"
     return asset, f"keeps what {path} holds"
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[Document, list[Piece]]:
+    document = Document.read(path)
+    with whole(document.source):
+        return document, pieces(document).pieces
 
 
 def objects_of(transfer: Transfer) -> list[dict[str, Any]]:

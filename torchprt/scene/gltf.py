@@ -1,7 +1,7 @@
 """glTF 2.0: `Document` reads the container, `pieces` what its scene draws."""
 
 from .gltf_decode import DRACO, MESHOPT, decode_draco
-from .gltf_document import Document, as_declared
+from .gltf_document import Document, as_declared, mime_type, whole
 from .gltf_geometry import Piece, Pieces, Primitive, pieces, read_primitive
 from .gltf_nodes import INSTANCING, Nodes
 
@@ -16,6 +16,8 @@ __all__ = [
     "Primitive",
     "as_declared",
     "decode_draco",
+    "mime_type",
     "pieces",
     "read_primitive",
+    "whole",
 ]

@@ -2,9 +2,10 @@
 
 import base64
 import binascii
+import contextlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -69,15 +70,13 @@ class Document:
         """The document of a file. Raises InputError, naming it, if it does not exist or is damaged."""
         source = Path(path)
         try:
-            return cls(source.read_bytes(), source)
+            content = source.read_bytes()
         except FileNotFoundError as fault:
             raise InputError(f"{source} does not exist: check the name") from fault
         except OSError as fault:
             raise InputError(f"{source} cannot be read ({fault.strerror}): check the name") from fault
-        except InputError:
-            raise
-        except Exception as fault:  # Damaged bytes: anything may be missing or of the wrong type.
-            raise InputError(f"{source} is damaged or not glTF ({fault}): export the mesh again") from fault
+        with whole(source):
+            return cls(content, source)
 
     def all(self, name: str) -> list[dict[str, Any]]:
         """The entries of the tree under `name`, "meshes" or "nodes"; none if the file has none."""
@@ -184,8 +183,9 @@ class Document:
         Raises InputError if the file that it names does not exist.
         """
         entry = self.entry("images", number)
-        content, said = self.resolve(entry["uri"]) if "uri" in entry else (self.view(entry["bufferView"]), "")
-        return content, entry.get("mimeType") or said or mime_type(content)
+        with whole(self.source):
+            content, said = self.resolve(entry["uri"]) if "uri" in entry else (self.view(entry["bufferView"]), "")
+            return content, entry.get("mimeType") or said or mime_type(content)
 
     def _part(self, entry: Mapping[str, Any], what: str) -> bytes:
         start, length = entry.get("byteOffset", 0), entry["byteLength"]
@@ -205,6 +205,20 @@ class Document:
                 f"{self.source} is cut short, accessor {number} ends behind its buffer view: export the mesh again"
             )
         return np.ndarray((count, width), kind, content, start, (stride, kind.itemsize))
+
+
+@contextlib.contextmanager
+def whole(source: Path) -> Iterator[None]:
+    """Faults met in the block are those of a damaged file, in which anything may be missing or of the wrong type."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as fault:
+        said = (str(fault).strip().splitlines() or [""])[0][:100]
+        raise InputError(
+            f"{source} is damaged or not glTF ({type(fault).__name__} {said}): export the mesh again"
+        ) from fault
 
 
 def normalised(values: np.ndarray, accessor: Mapping[str, Any]) -> np.ndarray:
