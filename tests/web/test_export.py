@@ -101,7 +101,9 @@ def test_refuses_a_folder_that_holds_something_else(make_transfer, tmp_path):
 def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     transfer = make_transfer()
     transfer.normals[3] = 0
-    report = export(transfer, tmp_path / "new" / "page", environments=lamps, title='Quotes " & <tags>', exact=True, check=False)
+    report = export(
+        transfer, tmp_path / "new" / "page", environments=lamps, title='Quotes " & <tags>', exact=True, check=False
+    )
     folder = report.folder
     assert report.bytes == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     assert report.environments == ("Room",)
@@ -126,6 +128,29 @@ def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     assert said["environments"][0]["lamp"] == {"direction": direction.tolist(), "colour": colour.tolist()}
     # As every picture of this light.
     assert said["environments"][0]["exposure"] == pytest.approx(automatic_exposure(torch.from_numpy(light)), abs=0.01)
+
+
+def test_packing_is_measured_and_said_and_exact_packs_nothing(make_transfer, tmp_path, untyped, lamps):
+    transfer = make_transfer(side=40, channels=3)
+    whole = export(transfer, tmp_path / "whole", environments=lamps, exact=True)
+    small = export(transfer, tmp_path / "small", environments=lamps)
+    assert whole.packed is None
+    assert (whole.losses(), whole.places) == ("", 0)
+    assert 1e-6 < small.packed.relative_rms < 2e-3
+    assert f"{small.packed.relative_rms:.1e}" in small.losses()
+    assert "--exact" in small.losses()
+    assert 0 < small.places < 2 / 65535
+    assert small.model_bytes < 0.6 * whole.model_bytes
+    assert small.model_bytes < small.bytes
+    own = ("model.onnx.gz", "mesh.glb", "scene.json", "environments/0.jpg")
+    assert small.model_bytes == sum((tmp_path / "small" / name).stat().st_size for name in own)
+    light = torch.randn(1, 16, 3, generator=torch.Generator().manual_seed(4))
+    feed = {"light": light.numpy(), "rotation": np.eye(3, dtype=np.float32)[None]}
+    expected = shader(transfer)(light)
+    for folder, allowed in (("whole", 1e-5), ("small", 2e-3)):
+        (found,) = session_of(tmp_path / folder / "model.onnx").run(None, feed)
+        error = float((torch.from_numpy(found) - expected).square().mean().sqrt() / expected.square().mean().sqrt())
+        assert error < allowed
 
 
 def test_a_former_page_is_replaced_as_a_whole(make_transfer, tmp_path, no_graph, lamps):
@@ -161,10 +186,7 @@ def test_a_compressed_bake_is_shown_beside_the_full_one_or_alone(make_transfer, 
     assert about(tmp_path / "alone")["bytes"] == packed.bytes
     light = np.ones((1, 16, 3), np.float32)
     feed = {"light": light, "rotation": np.eye(3, dtype=np.float32)[None]}
-    runs = [
-        session_of(tmp_path / name).run(None, feed)[0]
-        for name in ("both/compressed.onnx", "alone/model.onnx")
-    ]
+    runs = [session_of(tmp_path / name).run(None, feed)[0] for name in ("both/compressed.onnx", "alone/model.onnx")]
     np.testing.assert_array_equal(*runs)
 
 

@@ -106,7 +106,9 @@ class _Content:
     def rows(self, rows: np.ndarray, kind: int, normalised: bool, bounds: dict[str, Any] | None = None) -> int:
         """The number of the accessor of the first three of the columns."""
         packed = self.packs.encode_gltf_buffer(rows, "ATTRIBUTES") if self.packs else None
-        return self._stream(rows, packed, {"mode": "ATTRIBUTES"}, kind, "VEC3", {"normalized": normalised} | (bounds or {}))
+        return self._stream(
+            rows, packed, {"mode": "ATTRIBUTES"}, kind, "VEC3", {"normalized": normalised} | (bounds or {})
+        )
 
     def normals(self, unit: np.ndarray) -> int:
         """As normalised numbers of 16 bits."""
