@@ -169,7 +169,7 @@ def test_a_fault_leaves_the_former_page(make_transfer, tmp_path, no_graph, lamps
     def fail(*_, **__):
         raise RuntimeError("full disk")
 
-    monkeypatch.setattr(EXPORT.preview, "save_glb", fail)
+    monkeypatch.setattr(EXPORT, "save_small_glb", fail)
     with pytest.raises(RuntimeError, match="full disk"):
         export(make_transfer(side=4), tmp_path / "page", environments=lamps)
     assert about(tmp_path / "page")["vertices"] == 25
