@@ -32,6 +32,9 @@ def no_npm(tmp_path_factory, monkeypatch):
         (["-o", "page", "--web", "--order", 2], ["--order", "a page"]),
         (["-o", "a.onnx", "--light", "l.exr"], ["--light", ".onnx without --web"]),
         (["-o", "a.onnx", "--order", 2], ["--order", ".onnx"]),
+        (["-o", "page", "--web", "--source", "a.glb"], ["--source", "a page"]),
+        (["-o", "a.onnx", "--source", "a.glb"], ["--source", ".onnx"]),
+        (["-o", "a.glb", "--source", "none.glb"], ["none.glb does not exist"]),
         (["-o", "a.glb", "--title", "T"], ["--title", ".glb without --web"]),
         (["-o", "a.glb", "--size", 8], ["--size", ".glb"]),
         (["-o", "a.glb", "--order", 5], ["order 5 is not between 1 and the 4"]),
@@ -85,3 +88,25 @@ def test_transfer_leaves_as_attributes(done, folder, tmp_path):
     vectors = stored(load(folder / "ball.safetensors"))
     np.testing.assert_array_equal(mesh.vertex_attributes["_PRT_0"], vectors[0, :4].T)
     assert "order 3" in done("export", folder / "ball.safetensors", "-o", tmp_path / "b.glb")
+    # The ball came from a .ply.
+    assert "a plain mesh, as " in said
+    assert "ball.ply is no glTF" in said
+
+
+def test_a_gltf_leaves_as_the_asset_that_it_was(done, folder, tmp_path):
+    ball = trimesh.load(folder / "ball.ply", process=False)
+    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2])
+    ball.export(tmp_path / "ball.glb")
+    done("bake", tmp_path / "ball.glb", "-o", tmp_path / "a.safetensors", "--unshadowed", "--order", 3)
+    said = done("export", tmp_path / "a.safetensors", "-o", tmp_path / "lit.glb")
+    assert f"keeps what {tmp_path / 'ball.glb'} holds" in said
+    assert "albedo in _PRT_ALBEDO" in said
+    (mesh,) = trimesh.load(tmp_path / "lit.glb", process=False).geometry.values()
+    np.testing.assert_allclose(mesh.visual.uv, ball.visual.uv, atol=1e-6)
+    # Elsewhere it must be named, and then it must be the one.
+    (tmp_path / "ball.glb").rename(tmp_path / "moved.glb")
+    assert "is not there any more: --source" in done("export", tmp_path / "a.safetensors", "-o", tmp_path / "b.glb")
+    again = ["--source", tmp_path / "moved.glb"]
+    assert "moved.glb holds" in done("export", tmp_path / "a.safetensors", "-o", tmp_path / "b.glb", *again)
+    assert (tmp_path / "b.glb").read_bytes() == (tmp_path / "lit.glb").read_bytes()
+    done("shade", tmp_path / "a.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "c.glb")

@@ -24,7 +24,8 @@ def pixels(path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-o", "a.jpg"], ["must end in .png or .gif"]),
+        (["-o", "a.tga"], ["must end in .png, .jpg, .jpeg, .webp, .gif or .mp4"]),
+        (["-o", "a.gif", "--backdrop", "transparent"], ["a.gif cannot hold: write .png or .webp"]),
         (["-o", "none/a.png"], ["does not exist, make it first"]),
         (["--size", "0x5"], ["--size is '0x5'"]),
         (["--turntable", 3, "--light-turntable", 3], ["both given"]),

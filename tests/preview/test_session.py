@@ -14,7 +14,7 @@ from torchprt.compression import compress, decompress, fit
 from torchprt.errors import InputError
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
-from torchprt.preview.session import BACKDROPS, LOBE, MODES, WINDOWS, windowed
+from torchprt.preview.session import BACKDROPS, LOBE, MODES, PLAIN, WINDOWS, windowed
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import display, shader
 from torchprt.transport import bake
@@ -432,3 +432,20 @@ def test_given_poses_come_one_after_the_other():
 def test_refuses_poses_of_another_mesh(poses, words):
     with pytest.raises(InputError, match=words):
         Session({"lobes": random_zonal(side=4, order=ORDER)}, environments(), poses=poses)
+
+
+def test_a_ground_is_not_framed_and_becomes_the_plain_background_at_its_edge(scene):
+    plain, stood = (bake(each, order=ORDER, shadows=False) for each in (scene, scene.on_ground(albedo=0.9)))
+    alone, session = Session({"plain": plain}, environments()), Session({"stood": stood}, environments())
+    assert session.orbit == alone.orbit
+    assert session.radius == alone.radius
+    model = plain.vertices
+    assert torch.allclose(session.colours()[:model], alone.colours(), atol=1e-5)
+    ground = stood.positions[model:]
+    far = (ground - ground.mean(0)).norm(dim=-1)
+    rim = far > 0.999 * far.max()
+    assert (session.colours()[model:][rim] - PLAIN).abs().max() < 1e-5
+    # Before an environment that would be wrong.
+    session.next_backdrop()
+    assert (session.colours()[model:][rim] - PLAIN).abs().min() > 0.05
+    assert torch.allclose(session.colours()[:model], alone.colours(), atol=1e-5)

@@ -129,36 +129,6 @@ def glb(tree: dict, blob: bytes = b"") -> bytes:
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
-@pytest.mark.parametrize("extension", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
-def test_refuses_a_compressed_glb(write, extension):
-    if extension.startswith("KHR_draco"):
-        try:
-            import DracoPy  # noqa: F401
-        except ImportError:
-            pass
-        else:
-            pytest.skip("a decoder is installed")
-    primitive = {"attributes": {"POSITION": 0}, "indices": 1, "extensions": {extension: {"bufferView": 0}}}
-    tree = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [extension],
-        "extensionsRequired": [extension],
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": [
-            {"componentType": 5126, "type": "VEC3", "count": 3},
-            {"componentType": 5125, "type": "SCALAR", "count": 3},
-        ],
-        "bufferViews": [{"buffer": 0, "byteLength": 8}],
-        "buffers": [{"byteLength": 8}],
-    }
-    refused(write("a.glb", glb(tree, b"\1" * 8)), extension, "without compression")
-    # The same without saying so: what is left then are zeros.
-    del tree["extensionsUsed"], tree["extensionsRequired"], primitive["extensions"]
-    refused(write("b.glb", glb(tree, b"\1" * 8)), "zero")
-
-
 def solid() -> trimesh.Trimesh:
     return trimesh.Trimesh(TETRAHEDRON, SIDES, process=False)
 

@@ -14,7 +14,8 @@ from torchprt.files import check_writable
 
 def bake(
     mesh: Annotated[
-        list[Path], typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off; or a scene, .toml")
+        list[Path],
+        typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off .usd; or a scene, .toml"),
     ],
     output: options.Output,
     order: bake_options.Order = None,
@@ -23,7 +24,7 @@ def bake(
     albedo: bake_options.Albedo = None,
     material: bake_options.Gloss = None,
     specular: bake_options.Specular = None,
-    two_sided: bake_options.TwoSided = False,
+    two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,

@@ -61,8 +61,8 @@ Albedo = Annotated[
     typer.Option(
         "--albedo",
         rich_help_panel=SCENE,
-        help="0.5, or r,g,b, or vertex for the colours in the file.",
-        show_default="0.5, under a gloss 0",
+        help="0.5, or r,g,b; file (colour x texture x vertex colour) or vertex (colours of vertices alone).",
+        show_default="file, or 0.5 without, under a gloss 0",
     ),
 ]
 Gloss = Annotated[
@@ -70,13 +70,21 @@ Gloss = Annotated[
     typer.Option(
         "--material",
         rich_help_panel=SCENE,
-        help="phong:40 blinn:40 ggx:0.3 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 or a .toml file.",
+        help="phong:40 blinn:40 ggx:0.3 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5, a .toml file, or file: its own gloss.",
     ),
 ]
 Specular = Annotated[
     str | None, typer.Option("--specular", rich_help_panel=SCENE, help="Weight of the gloss: 0.5, or r,g,b.")
 ]
-TwoSided = Annotated[bool, typer.Option("--two-sided", rich_help_panel=SCENE, help="Surfaces reflect with both sides.")]
+TwoSided = Annotated[
+    bool | None,
+    typer.Option(
+        "--two-sided/--single-sided",
+        rich_help_panel=SCENE,
+        help="Whether surfaces reflect with both sides.",
+        show_default="as the file says",
+    ),
+]
 Blocker = Annotated[
     list[Path] | None,
     typer.Option("--blocker", rich_help_panel=SCENE, help="A mesh that only casts shadows (repeatable)."),
@@ -153,7 +161,7 @@ def scene_of(
     albedo: str | None,
     material: str | None,
     specular: str | None,
-    two_sided: bool,
+    two_sided: bool | None,
     blocker: Sequence[Path] | None,
     ground: str | None,
     ground_albedo: str | None,
@@ -164,7 +172,7 @@ def scene_of(
         raise InputError(f"--ground-albedo is '{ground_albedo}', but there is no ground: give --ground too")
     if ground is not None and ground != LOWEST:
         (height,) = options.numbers(ground, 1, "--ground")
-    colour, surface = options.albedo(albedo), options.material(material, specular)
+    colour, surface = options.albedo(albedo), options.surface(material, specular)
     from torchprt.scene import load
 
     scene = load(meshes, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)

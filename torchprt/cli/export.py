@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torchprt.cli import options
+from torchprt.cli import bake_options, options
 from torchprt.cli.environments import WORDS, light_of
 from torchprt.cli.export_page import export_page
 from torchprt.cli.report import say
@@ -55,6 +55,11 @@ def export(
     order: Annotated[
         int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
     ] = None,
+    asset: Annotated[
+        Path | None,
+        typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
+    ] = None,
+    with_ground: bake_options.WithGround = False,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -62,12 +67,15 @@ def export(
     ends = output.suffix.lower()
     graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
     graph["--pose"] = pose
+    mesh = {"--order": order, "--source": asset}
     page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
     if web:
-        _refuse(graph | {"--order": order}, "a page")
+        _refuse(graph | mesh, "a page")
     else:
+        if not ends:
+            raise InputError(f"{output} must end in .onnx or .glb; to write a page into that folder give --web")
         check_writable(output, (".onnx", ".glb"))
-        _refuse(page | (graph if ends == ".glb" else {"--order": order}), f"{ends} without --web")
+        _refuse(page | (graph if ends == ".glb" else mesh), f"{ends} without --web")
     start = options.choice(source or "light", "--from", ("light", "environment"))
     kind = options.choice(eye or "point", "--eye", ("point", "direction"))
     taken = None if pose is None else options.choice(pose, "--pose", ("frames", "positions"))
@@ -79,13 +87,18 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if with_ground and not web and ends == ".onnx":
+        raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
+    if ends != ".onnx" and not with_ground:
+        loaded = loaded.without_ground()
     chosen = options.gloss_of(loaded, material)
     if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen, exact)
+        named = title or transfer.stem
+        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact)
     if ends == ".glb":
-        return _export_mesh(loaded, output, order)
+        return _export_mesh(loaded, output, order, asset, transfer.parent)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)
     texels = 32 if size is None else size
     report = prt.onnx.export(
@@ -96,13 +109,15 @@ def export(
         say(report.parity)
 
 
-def _export_mesh(transfer: Transfer, path: Path, order: int | None) -> None:
-    """Writes the `.glb` with transfer of low order as attributes."""
-    from torchprt.preview import save_transfer_glb
+def _export_mesh(transfer: Transfer, path: Path, order: int | None, given: Path | None, near: Path) -> None:
+    """Writes the `.glb` with transfer of low order as attributes, of the asset that was baked or of a plain mesh."""
+    from torchprt.preview import find_asset, save_transfer_glb
 
     bands = min(3, transfer.order) if order is None else order
-    save_transfer_glb(transfer, path, bands)
-    say(f"{path}: {count(transfer.vertices, 'vertex')}, albedo in COLOR_0, transfer of order {bands} in _PRT_n")
+    asset, why = find_asset(transfer, given, near)
+    save_transfer_glb(transfer, path, bands, asset=asset)
+    albedo = "COLOR_0" if asset is None else "_PRT_ALBEDO"
+    say(f"{path}: {count(transfer.vertices, 'vertex')}, albedo in {albedo}, transfer of order {bands} in _PRT_n; {why}")
 
 
 def _refuse(given: Mapping[str, Any], written: str) -> None:

@@ -22,15 +22,21 @@ def export_page(
     compressed: Path | None,
     title: str,
     gloss: Brdf | None,
+    with_ground: bool = False,
     exact: bool = False,
 ) -> None:
-    """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open."""
+    """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open.
+
+    `compressed` is shown without its ground, as `transfer` is, unless it is to be `with_ground`.
+    """
     from torchprt import web
     from torchprt.shade import with_material
     from torchprt.transfer import load
 
     start = time.perf_counter()
     packed = None if compressed is None else load(compressed)
+    if packed is not None and not with_ground:
+        packed = packed.without_ground()
     if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
     environments = None if lights is None else [environment_of(each, transfer.order, repair=False) for each in lights]

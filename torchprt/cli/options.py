@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 LARGEST = 4096
 WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "incident", "visibility")
+METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]
@@ -65,9 +66,18 @@ def bounces(text: str) -> int | float | Literal["auto"]:
 
 
 def albedo(text: str | None) -> Any:
-    if text is None or text == "vertex":
+    if text is None or text in ("file", "vertex"):
         return text
-    return colour(text, "--albedo", ", or vertex")
+    return colour(text, "--albedo", ", file or vertex")
+
+
+def surface(text: str | None, specular: str | None) -> Material | Literal["file"] | None:
+    """As `material`, or "file" for that of the file."""
+    if text != "file":
+        return material(text, specular)
+    if specular is not None:
+        raise InputError(f"--specular is '{specular}', but --material file weighs its gloss itself: leave it out")
+    return "file"
 
 
 def material(text: str | None, specular: str | None) -> Material | None:

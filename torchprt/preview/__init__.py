@@ -1,5 +1,8 @@
 """Pictures of what was baked: stills without a display, models with vertex colours."""
 
+from .asset_file import AssetWarning
+from .asset_light import keep_light, save_lit_glb
+from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
 from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
@@ -7,37 +10,52 @@ from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
 from .lobe import Lobe, lobe
+from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
 from .picture import Still, save_png
 from .relight import Relight
+from .saving import save_movie, save_picture
 from .session import Session
 from .sheet import sheet
 from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
+from .video import check_video, save_mp4
 from .window import check_window, show
 
 __all__ = [
+    "Asset",
+    "AssetWarning",
     "Background",
     "Camera",
     "Environment",
     "Lobe",
     "Orbit",
+    "Picture",
     "Relight",
     "Session",
     "Still",
     "Studio",
     "automatic_exposure",
     "built_in_environment",
+    "check_video",
     "check_window",
     "colours",
     "error_colours",
+    "find_asset",
     "frame",
+    "keep_light",
     "linear_colours",
     "lobe",
+    "look",
+    "look_at_light",
     "photograph",
     "save_gif",
     "save_glb",
+    "save_lit_glb",
+    "save_movie",
+    "save_mp4",
+    "save_picture",
     "save_ply",
     "save_png",
     "save_transfer_glb",

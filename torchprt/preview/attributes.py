@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.preview.asset import keep_attributes
+from torchprt.preview.asset_source import Asset
 from torchprt.preview.glb import save_glb
 from torchprt.shade import shader
 from torchprt.transfer import Transfer
@@ -17,12 +19,17 @@ from torchprt.transfer.file import CONVENTIONS
 MOST = 13
 
 
-def save_transfer_glb(transfer: Transfer, path: str | os.PathLike[str], order: int = 3) -> None:
+def save_transfer_glb(
+    transfer: Transfer, path: str | os.PathLike[str], order: int = 3, *, asset: Asset | None = None
+) -> None:
     """Writes the mesh with the first `order` bands of its transfer as `.glb`: albedo in `COLOR_0`, vectors in `_PRT_n`.
 
     Coefficient i of channel c is number `k = c order^2 + i` of a vertex: component `k % 4` of the VEC4 `_PRT_{k // 4}`,
     the last filled with zeros. Exit radiance in channel c is `COLOR_0[c] * sum_i light[i, c] PRT[c, i]`, with the one
     channel for all three if there is only one. `extras` of the mesh say order, channels and conventions.
+
+    With the `asset` that was baked, as `find_asset` gives it, the file is that asset, with all that it had: `COLOR_0`
+    is its own, albedo is in `_PRT_ALBEDO`, and what reverse sides recorded is in `_PRT_BACK_n`, `_PRT_BACK_ALBEDO`.
 
     Raises InputError if the transfer depends on the eye, `order` is above its own, the vectors need more than 13
     attributes, or `path` cannot be written.
@@ -43,12 +50,9 @@ def save_transfer_glb(transfer: Transfer, path: str | os.PathLike[str], order: i
     padded = torch.zeros(4 * count, low.vertices)
     padded[: len(numbers)] = numbers
     attributes: dict[str, Tensor] = {f"_PRT_{k}": padded[4 * k : 4 * k + 4].T for k in range(count)}
-    save_glb(
-        low.positions,
-        low.normals,
-        low.faces,
-        path,
-        colour=low.albedo.float().expand(low.vertices, 3),
-        attributes=attributes,
-        extras={"torchprt": {"order": order, "channels": low.channels, "conventions": CONVENTIONS}},
-    )
+    albedo = low.albedo.float().expand(low.vertices, 3)
+    extras = {"torchprt": {"order": order, "channels": low.channels, "conventions": CONVENTIONS}}
+    if asset is not None:
+        keep_attributes(asset, low, {"_PRT_ALBEDO": albedo, **attributes}, extras).save(path)
+        return
+    save_glb(low.positions, low.normals, low.faces, path, colour=albedo, attributes=attributes, extras=extras)

@@ -23,6 +23,11 @@ FLOAT, UNSIGNED_INT = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 POINTS, TRIANGLES = 0, 4
 LARGEST = 2**32 - 1
+PLAIN = {
+    "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 1},
+    "extensions": {"KHR_materials_unlit": {}},
+}
+"""The material of colours that are shown as they are."""
 
 
 def save_glb(
@@ -46,10 +51,7 @@ def save_glb(
     """
     if len(positions) == 0:
         raise InputError(f"{path} would have no vertices, which glTF does not allow: give a model that has some")
-    length = torch.linalg.vector_norm(normals.double(), dim=-1, keepdim=True)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    unit = torch.where(length > 0, normals.double() / torch.where(length > 0, length, 1.0), up)
-    values = {"POSITION": positions, "NORMAL": unit}
+    values = {"POSITION": positions, "NORMAL": unit_normals(normals)}
     if colour is not None:
         values["COLOR_0"] = colour
     values |= attributes or {}
@@ -70,12 +72,7 @@ def save_glb(
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [mesh],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 1},
-                "extensions": {"KHR_materials_unlit": {}},
-            }
-        ],
+        "materials": [PLAIN],
         "extensionsUsed": ["KHR_materials_unlit"],
         "accessors": content.accessors,
         "bufferViews": content.views,
@@ -91,6 +88,13 @@ def save_glb(
         file.write(struct.pack("<I4s", len(text), b"JSON") + text)
         file.write(struct.pack("<I4s", content.size, b"BIN\0"))
         file.writelines(content.parts)
+
+
+def unit_normals(normals: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
+    """Of length one, float64; +y where there is none, as glTF allows no other length."""
+    length = torch.linalg.vector_norm(normals.double(), dim=-1, keepdim=True)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    return torch.where(length > 0, normals.double() / torch.where(length > 0, length, 1.0), up)
 
 
 class _Content:

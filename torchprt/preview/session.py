@@ -16,7 +16,7 @@ from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
 from torchprt.preview.environment import WINDOWS, Environment, automatic_exposure, photograph, windowed
 from torchprt.preview.error_colours import error_colours
-from torchprt.preview.ground import subject
+from torchprt.preview.ground import opacity, subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
@@ -30,6 +30,8 @@ from torchprt.words import count
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
+PLAIN = 0.27
+"""sRGB of what is behind the model where nothing else is."""
 BACKDROPS = ("plain", "environment", "environment in bands")
 WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
@@ -90,10 +92,13 @@ class Session:
         self.exposure = 0.0
         self.environment = 0
         self.backdrop = BACKDROPS[0]
+        self._opacity = opacity(first.receivers)
         self.rotation = torch.eye(3)
         self.orbit = self._home = Orbit.around(subject(first.receivers).double(), toward)
         self.picked: int | None = None
-        self.radius = float((self.rest - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
+        self.radius = float(
+            (subject(first.receivers).double() - torch.tensor(self.orbit.target).double()).norm(dim=-1).max()
+        )
         self._brdf = brdf
         self._all = dict(bakes)
         self._relights: dict[str, Relight] = {}
@@ -151,10 +156,18 @@ class Session:
             *(self.mode, self.bake, self.packed, self.order, self.window, self.environment, self.exposure),
             *(tuple(self.rotation.flatten().tolist()), self.orbit if self.follows_eye else None),
             self.seconds if self.follows_pose else None,
+            self._opacity is not None and self.backdrop == BACKDROPS[0],
         )
         if self._shown is None or self._shown[0] != key:
-            self._shown = key, self._make_colours()
+            self._shown = key, self._faded(self._make_colours())
         return self._shown[1]
+
+    def _faded(self, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
+        """With a ground that becomes the plain background toward its edge."""
+        if self._opacity is None or self.backdrop != BACKDROPS[0]:
+            return colours
+        share = self._opacity.to(colours)[:, None]
+        return share * colours + (1 - share) * PLAIN
 
     def backdrop_image(self) -> Float[Tensor, "H W 3"] | None:
         """sRGB latitude-longitude map of what is behind the model, before it is turned; None if nothing is."""

@@ -3,40 +3,52 @@
 from . import samples
 from .check import MeshReport
 from .deform import bend, twist
+from .dress import file_material, object_of
 from .energy import EnergyWarning
 from .geometry import Geometry
+from .glosses import Glosses
 from .height_field import height_field, read_heights, tiled
 from .material import Material
 from .material_file import read_material
 from .mesh import Mesh, make_mesh
 from .object import Object, TangentWarning
+from .paint import Paint
 from .points import Points
 from .reading import read_mesh
 from .rig import Rig
 from .scene import Requirements, Scene, load
 from .scene_file import read_scene
+from .surface import Look, Surface, read_surface, texture_albedo
 
 __all__ = [
     "EnergyWarning",
     "Geometry",
+    "Glosses",
+    "Look",
     "Material",
     "Mesh",
     "MeshReport",
     "Object",
+    "Paint",
     "Points",
     "Requirements",
     "Rig",
     "Scene",
+    "Surface",
     "TangentWarning",
     "bend",
+    "file_material",
     "height_field",
     "load",
     "make_mesh",
+    "object_of",
     "read_heights",
     "read_material",
     "read_mesh",
     "read_scene",
+    "read_surface",
     "samples",
+    "texture_albedo",
     "tiled",
     "twist",
 ]

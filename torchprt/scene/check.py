@@ -48,6 +48,8 @@ class MeshReport:
     """Closed, but all faces turn their backs outward: right for a room seen from within, and for nothing else."""
     missing_tangents: int = 0
     """Vertices that the file's tangents or texture coordinates, if it has any, give no direction."""
+    notes: tuple[str, ...] = ()
+    """What the file holds beside, in sentences."""
 
     @property
     def watertight(self) -> bool:
@@ -87,7 +89,7 @@ class MeshReport:
                 f"{count(self.missing_tangents, 'vertex')} whose texture coordinates give no tangent: "
                 "glossy surfaces take a smooth field there."
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.notes])
 
 
 def check(

@@ -73,56 +73,63 @@ def gather(objects: Sequence[Object]) -> Geometry:
     sizes = [len(object.mesh.positions) for object in objects]
     starts = _starts(sizes)
     receiving = [object.receives for object in objects]
-    reversible = [object.receives and object.material.two_sided for object in objects]
+    # The vertices of every object that record on their reverse.
+    reverse = [torch.nonzero(o.two_sided)[:, 0] if o.receives else torch.zeros(0, dtype=torch.int64) for o in objects]
     fronts = _starts([size * on for size, on in zip(sizes, receiving, strict=True)])
-    backs = _starts([size * on for size, on in zip(sizes, reversible, strict=True)], fronts[-1])
+    backs = _starts([len(each) for each in reverse], fronts[-1])
     slices = tuple(slice(a, b) for a, b in itertools.pairwise(fronts))
     back_slices = tuple(slice(a, b) for a, b in itertools.pairwise(backs))
     front_objects = [object for object, on in zip(objects, receiving, strict=True) if on]
-    back_objects = [object for object, on in zip(objects, reversible, strict=True) if on]
-    both = front_objects + back_objects
+    # Every object with the vertices that record, on the fronts and then on the reverse sides.
+    both = [(o, torch.arange(len(o.mesh.positions))) for o in front_objects]
+    both += [(o, each) for o, each in zip(objects, reverse, strict=True) if len(each)]
     none = torch.zeros(0, 3, dtype=torch.float64)
     channels = 3 if any(differs(object.albedo) for object in front_objects) else 1
-    display = [
-        object.mesh.faces + rows.start for object, rows, on in zip(objects, slices, receiving, strict=True) if on
+    numbering, back_numbering = _numbering(sizes, slices), _back_numbering(sizes, back_slices, reverse)
+    faces = torch.cat([object.mesh.faces + start for object, start in zip(objects, starts[:-1], strict=True)])
+    two_sided = (back_numbering[faces] >= 0).all(1)
+    shown = (numbering[faces] >= 0).all(1)
+    shiny = [
+        (object, chosen[at], at + start, object.gloss_of_vertex[chosen[at]])
+        for (object, chosen), start in zip(both, _starts([len(chosen) for _, chosen in both])[:-1], strict=True)
+        if object.glossy
+        for at in [torch.nonzero(object.gloss_of_vertex[chosen] >= 0)[:, 0]]
     ]
-    display += [
-        object.mesh.faces.flip(1) + rows.start
-        for object, rows, on in zip(objects, back_slices, reversible, strict=True)
-        if on
-    ]
-    starts_of_both = _starts([len(object.mesh.positions) for object in both])[:-1]
-    shiny = [(object, start) for object, start in zip(both, starts_of_both, strict=True) if object.glossy]
-    gloss = _distinct([object.material.brdf for object, _ in shiny])
-    specular_channels = 3 if any(differs(object.specular) for object, _ in shiny) else 1
+    gloss = _distinct([brdf for object, _, _, which in shiny for brdf in _used(object, which)])
+    specular_channels = 3 if any(differs(object.specular) for object, *_ in shiny) else 1
     whole = torch.zeros(0, dtype=torch.int64)
     return Geometry(
         positions=torch.cat([object.mesh.positions for object in objects]),
-        faces=torch.cat([object.mesh.faces + start for object, start in zip(objects, starts[:-1], strict=True)]),
+        faces=faces,
         face_object=torch.cat([torch.full((len(o.mesh.faces),), number) for number, o in enumerate(objects)]),
-        two_sided=torch.cat([torch.full((len(o.mesh.faces),), o.material.two_sided) for o in objects]),
-        receiver_of_vertex=_numbering(sizes, slices),
-        back_receiver_of_vertex=_numbering(sizes, back_slices),
-        receiver_positions=torch.cat([none, *(object.mesh.positions for object in both)]),
+        two_sided=two_sided,
+        receiver_of_vertex=numbering,
+        back_receiver_of_vertex=back_numbering,
+        receiver_positions=torch.cat([none, *(object.mesh.positions[chosen] for object, chosen in both)]),
         receiver_normals=torch.cat(
-            [none, *(o.mesh.normals for o in front_objects), *(-o.mesh.normals for o in back_objects)]
+            [
+                none,
+                *(o.mesh.normals for o in front_objects),
+                *(-o.mesh.normals[chosen] for o, chosen in both[len(front_objects) :]),
+            ]
         ),
-        albedo=torch.cat([torch.zeros(0, channels), *(_channels(object.albedo, channels) for object in both)]),
-        display_faces=torch.cat([torch.zeros(0, 3, dtype=torch.int64), *display]),
+        albedo=torch.cat([torch.zeros(0, channels), *(_channels(o.albedo[chosen], channels) for o, chosen in both)]),
+        display_faces=torch.cat([numbering[faces[shown]], back_numbering[faces[two_sided]].flip(1)]),
         slices=slices,
         back_slices=back_slices,
-        glossy=torch.cat([whole, *(torch.arange(len(o.mesh.positions)) + start for o, start in shiny)]),
+        glossy=torch.cat([whole, *(rows for _, _, rows, _ in shiny)]),
         gloss=gloss,
-        gloss_of_glossy=torch.cat(
-            [whole, *(torch.full((len(o.mesh.positions),), _number(o.material.brdf, gloss)) for o, _ in shiny)]
-        ),
-        tangents=torch.cat([none, *(object.mesh.tangent_field for object, _ in shiny)]),
+        gloss_of_glossy=torch.cat([whole, *(_numbers(object, gloss)[which] for object, _, _, which in shiny)]),
+        tangents=torch.cat([none, *(object.mesh.tangent_field[chosen] for object, chosen, _, _ in shiny)]),
         specular=torch.cat(
-            [torch.zeros(0, specular_channels), *(_channels(o.specular, specular_channels) for o, _ in shiny)]
+            [
+                torch.zeros(0, specular_channels),
+                *(_channels(object.specular[chosen], specular_channels) for object, chosen, _, _ in shiny),
+            ]
         ),
         partner=_partners(objects, slices, back_slices, backs[-1]),
         translucency=torch.cat(
-            [torch.zeros(0), *(torch.full((len(o.mesh.positions),), float(o.material.translucency)) for o in both)]
+            [torch.zeros(0), *(torch.full((len(chosen),), float(o.material.translucency)) for o, chosen in both)]
         ),
         names=tuple(object.mesh.name for object in objects),
         roles=tuple(object.role for object in objects),
@@ -130,16 +137,25 @@ def gather(objects: Sequence[Object]) -> Geometry:
     )
 
 
-def _distinct(all_gloss: Sequence[Brdf | None]) -> tuple[Brdf, ...]:
+def _used(object: Object, which: Int64[Tensor, "g"]) -> list[Brdf]:
+    """The glosses of an object that lie on any of its receivers."""
+    return [object.material.glosses[number] for number in which.unique().tolist()]
+
+
+def _numbers(object: Object, gloss: tuple[Brdf, ...]) -> Int64[Tensor, "models"]:
+    """The numbers of the glosses of an object among those of the scene, -1 for those that are nowhere."""
+    found = [
+        next((number for number, each in enumerate(gloss) if _same(brdf, each)), -1) for brdf in object.material.glosses
+    ]
+    return torch.tensor(found, dtype=torch.int64)
+
+
+def _distinct(all_gloss: Sequence[Brdf]) -> tuple[Brdf, ...]:
     found: list[Brdf] = []
     for brdf in all_gloss:
-        if brdf is not None and not any(_same(brdf, each) for each in found):
+        if not any(_same(brdf, each) for each in found):
             found.append(brdf)
     return tuple(found)
-
-
-def _number(brdf: Brdf | None, gloss: tuple[Brdf, ...]) -> int:
-    return next(number for number, each in enumerate(gloss) if brdf is not None and _same(brdf, each))
 
 
 def _same(one: Brdf, other: Brdf) -> bool:
@@ -174,6 +190,15 @@ def _numbering(sizes: list[int], slices: tuple[slice, ...]) -> Int64[Tensor, "Va
             for size, rows in zip(sizes, slices, strict=True)
         ]
     )
+
+
+def _back_numbering(
+    sizes: list[int], slices: tuple[slice, ...], reverse: list[Int64[Tensor, "_"]]
+) -> Int64[Tensor, "Vall"]:
+    result = torch.full((sum(sizes),), -1)
+    for start, rows, vertices in zip(_starts(sizes)[:-1], slices, reverse, strict=True):
+        result[vertices + start] = torch.arange(rows.start, rows.stop)
+    return result
 
 
 def _channels(albedo: Float32[Tensor, "V C"], channels: int) -> Float32[Tensor, "V D"]:

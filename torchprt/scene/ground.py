@@ -22,9 +22,14 @@ FINE, COARSENING = 1 / 40, 0.12
 """Edges under the model, in radii of its outline seen from above; outward they grow by this share of the way."""
 GAP = 1e-4
 """How far below its height the disc lies, in radii of the model: what stands on the height must not lie in the disc."""
-CLOSE = 2e-3
+CLOSE = 3e-2
 """How near above the ground, in radii of the model, something covers it."""
+BESIDE = 2e-3
+"""How far, in radii of the model, from its outline vertices are put: many times the gap, through which they would look
+under it."""
 HALVINGS = 12
+FLATTEST = 0.05
+"""Share of its area that a triangle must keep."""
 
 
 def ground(objects: Sequence[Object], height: float | None = None, albedo: Albedo = 0.5) -> list[Object]:
@@ -54,7 +59,7 @@ def ground(objects: Sequence[Object], height: float | None = None, albedo: Albed
     disc, faces = _disc(max(outline, 0.1 * radius), REACH * radius)
     level -= GAP * radius
     points = disc + torch.stack([middle[0], torch.tensor(level, dtype=torch.float64), middle[2]])
-    points = _onto_outline(points, faces, _Cover(objects, CLOSE * radius))
+    points = _onto_outline(points, faces, _Cover(objects, CLOSE * radius), BESIDE * radius)
     up = torch.tensor([[0.0, 1.0, 0.0]]).expand(len(points), 3)
     found = [Object(make_mesh(points, faces, normals=up, name="ground"), Material(albedo), "ground")]
     depth = level - float(everything[:, 1].amin())
@@ -105,7 +110,7 @@ class _Cover:
         starts = np.cumsum([0] + [len(object.mesh.positions) for object in objects[:-1]]).tolist()
         self._positions = torch.cat([object.mesh.positions for object in objects])
         self._faces = torch.cat([o.mesh.faces + start for o, start in zip(objects, starts, strict=True)])
-        self._sheet = torch.cat([torch.full((len(o.mesh.faces),), o.material.two_sided) for o in objects])
+        self._sheet = torch.cat([o.two_sided[o.mesh.faces].all(1) for o in objects])
         self._tracer = Tracer(self._positions, self._faces)
         self._close = close
 
@@ -122,8 +127,10 @@ class _Cover:
         return (triangle >= 0) & (inside | (above < self._close))
 
 
-def _onto_outline(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], cover: _Cover) -> Float64[Tensor, "V 3"]:
-    """`points`, those nearest to the outline of what covers them moved onto it, by half an edge at most.
+def _onto_outline(
+    points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], cover: _Cover, beside: float
+) -> Float64[Tensor, "V 3"]:
+    """`points`, those nearest to the outline of what covers them moved to `beside` it, by half an edge at most.
 
     Source: Labelle and Shewchuk 2007, "Isosurface stuffing", the warping of vertices onto a surface.
     """
@@ -139,6 +146,7 @@ def _onto_outline(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], c
         between = (inner + outer) / 2
         under = cover(between)[:, None]
         inner, outer = torch.where(under, between, inner), torch.where(under, outer, between)
+    outer = outer + beside * torch.nn.functional.normalize(points[seeing] - points[hidden], dim=-1)
     way = (outer - points[hidden]).norm(dim=-1), (outer - points[seeing]).norm(dim=-1)
     mover = torch.where(way[0] <= way[1], hidden, seeing)
     # The shortest way of each vertex comes last, and stays.
@@ -146,7 +154,18 @@ def _onto_outline(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"], c
     moved = points.clone()
     for vertex, place in zip(mover[order].tolist(), outer[order], strict=True):
         moved[vertex] = place
+    # Two neighbours that moved toward each other may have turned a triangle over: they go back.
+    whole = _areas(points, faces)
+    while bool((folded := _areas(moved, faces) < FLATTEST * whole).any()):
+        back = faces[folded].flatten()
+        moved[back] = points[back]
     return moved
+
+
+def _areas(points: Float64[Tensor, "V 3"], faces: Int64[Tensor, "F 3"]) -> Float64[Tensor, "F"]:
+    """Twice the areas of triangles at y = 0, negative if they face down."""
+    a, b, c = points[faces].unbind(1)
+    return torch.linalg.cross(b - a, c - a)[:, 1]
 
 
 def _underside(points: Float64[Tensor, "V 3"], depth: float) -> Mesh:

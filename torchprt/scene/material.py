@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from torchprt.brdf import Brdf, parse
 from torchprt.errors import InputError
 
 from .energy import check_balance
+from .glosses import Glosses
 from .mesh import Mesh
 
 Albedo = float | int | Sequence[float] | Float[Tensor, "..."] | str
@@ -24,9 +25,11 @@ class Material:
     `albedo` is the share of light that is reflected diffusely, in [0, 1]: one number, three numbers (linear RGB),
     a tensor with a row for every vertex ([V, 1] or [V, 3]), or "vertex" for the colours of the mesh. If it is not
     given it is .5, and 0 under a gloss.
-    A `two_sided` surface receives and reflects light on both of its sides, each by itself (a leaf, a sheet of paper).
+    A `two_sided` surface receives and reflects light on both of its sides, each by itself (a leaf, a sheet of paper);
+    a tensor [V] says of every vertex whether it is.
     `gloss` is a BRDF that is added to the diffuse part, or its text, "ggx:0.3,0.04" (see `torchprt.brdf.parse`), and
-    `specular` its weight in [0, 1], given as `albedo` is, but for "vertex".
+    `specular` its weight in [0, 1], given as `albedo` is, but for "vertex"; `Glosses` are a different one at different
+    vertices.
     `translucency`, in [0, 1], is the share of the irradiance of the other side that comes through, times the albedo:
     exit radiance is albedo / pi (E + translucency E_other). Such a surface is two-sided. Source: Sloan, Luna and
     Snyder 2005, section 5.3 (thin membranes).
@@ -34,14 +37,15 @@ class Material:
     Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.
     Raises InputError if a number is outside [0, 1], not a number, or of another shape, if the gloss is not known or
     creates energy, if all parts together do (`vertex` albedo: when the `Object` is made), or if specular is given
-    without a gloss.
+    without a gloss. `notes` are sentences on where it comes from, for reports.
     """
 
     albedo: Albedo | None = None
-    two_sided: bool = False
-    gloss: Brdf | str | None = None
+    two_sided: bool | Bool[Tensor, "V"] = False
+    gloss: Brdf | Glosses | str | None = None
     specular: Albedo = 1.0
     translucency: float | int = 0.0
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.gloss, str):
@@ -65,17 +69,44 @@ class Material:
                     f'albedo {self.albedo!r} is not known: give numbers, or "vertex" for the colours of the mesh'
                 )
             if self.gloss is not None:
-                check_balance(torch.zeros(1, 1), weight, self.brdf, 0.0, "albedo")
+                self._check_balance(torch.zeros(1, 1), "albedo")
             return
         body = table(_numbers(self.albedo))
         check_albedo(body, "albedo")
         self._check_balance(body, "albedo")
 
     @property
-    def brdf(self) -> Brdf | None:
-        """The gloss; None without one."""
+    def glosses(self) -> tuple[Brdf, ...]:
+        """The glosses that lie on it, none or one or several."""
+        if isinstance(self.gloss, Glosses):
+            return self.gloss.models
         # Text has become a model when the material was made.
-        return None if isinstance(self.gloss, str) else self.gloss
+        return () if self.gloss is None or isinstance(self.gloss, str) else (self.gloss,)
+
+    @property
+    def brdf(self) -> Brdf | None:
+        """The gloss; None without one, or if there are several."""
+        return self.glosses[0] if len(self.glosses) == 1 else None
+
+    def gloss_of(self, mesh: Mesh) -> Int64[Tensor, "V"]:
+        """Which of `glosses` lies on every vertex of `mesh`, -1 for none.
+
+        Raises InputError, naming the mesh, if there are several and it has another number of vertices.
+        """
+        vertices = len(mesh.positions)
+        if not isinstance(self.gloss, Glosses):
+            return torch.full((vertices,), -1 if self.gloss is None else 0)
+        return _fitting(self.gloss.of_vertex, vertices, mesh.name, "gloss")
+
+    def two_sided_of(self, mesh: Mesh) -> Bool[Tensor, "V"]:
+        """Whether every vertex of `mesh` has two sides.
+
+        Raises InputError, naming the mesh, if it has another number of vertices.
+        """
+        vertices = len(mesh.positions)
+        if not isinstance(self.two_sided, Tensor):
+            return torch.full((vertices,), bool(self.two_sided))
+        return _fitting(self.two_sided, vertices, mesh.name, "two_sided")
 
     @property
     def coloured(self) -> bool:
@@ -115,8 +146,26 @@ class Material:
             self._check_balance(self.albedo_of(mesh), f"{mesh.name} with an albedo")
 
     def _check_balance(self, albedo: Float32[Tensor, "rows C"], name: str) -> None:
-        if self.gloss is not None or self.translucency:
-            check_balance(albedo, table(_numbers(self.specular)), self.brdf, float(self.translucency), name)
+        weight = table(_numbers(self.specular), "specular")
+        if isinstance(self.gloss, Glosses):
+            label = self.gloss.of_vertex
+            for number, brdf in enumerate(self.gloss.models):
+                here = label == number
+                if bool(here.any()):
+                    check_balance(_at(albedo, here), _at(weight, here), brdf, float(self.translucency), name)
+        elif self.gloss is not None or self.translucency:
+            check_balance(albedo, weight, self.brdf, float(self.translucency), name)
+
+
+def _at(rows: Float32[Tensor, "rows C"], here: Bool[Tensor, "V"]) -> Float32[Tensor, "some C"]:
+    """The rows of some vertices; one row is that of all, and one that does not fit is refused with the mesh."""
+    return rows[here] if len(rows) == len(here) else rows
+
+
+def _fitting(values: Tensor, vertices: int, name: str, what: str) -> Tensor:
+    if values.shape != (vertices,):
+        raise InputError(f"{what} has shape {list(values.shape)} for the {vertices} vertices of {name}: give one each")
+    return values
 
 
 Numbers = float | int | Sequence[float] | Float[Tensor, "..."]

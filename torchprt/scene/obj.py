@@ -26,10 +26,16 @@ class Parsed(NamedTuple):
     """Linear RGB."""
     uv: np.ndarray | None
     """[F, 3, 2], a pair for every corner; NaN where a corner has none."""
+    materials: np.ndarray | None
+    """[F], which of the names every face has; -1 for none."""
+    names: tuple[str, ...]
+    """Of the materials that faces use, in the order of their first use."""
+    libraries: tuple[str, ...]
+    """The files that hold them."""
 
 
 def parse_obj(data: bytes, source: Path) -> Parsed:
-    """Positions, triangles, normals, colours and texture coordinates of an .obj file.
+    """Positions, triangles, normals, colours, texture coordinates and the use of materials of an .obj file.
 
     A vertex that faces use with one normal, or none, stays one vertex; with several it is repeated beside itself.
     Texture coordinates repeat no vertex.
@@ -40,6 +46,9 @@ def parse_obj(data: bytes, source: Path) -> Parsed:
     normals: list[list[float]] = []
     textures: list[list[float]] = []
     corners: list[Corner] = []
+    names: dict[str, int] = {}
+    libraries: list[str] = []
+    material, used = -1, []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
@@ -58,6 +67,13 @@ def parse_obj(data: bytes, source: Path) -> Parsed:
                     raise ValueError("has a face of fewer than three corners")
                 for second, third in itertools.pairwise(polygon[1:]):
                     corners += (polygon[0], second, third)
+                    used.append(material)
+            elif words[0] == "usemtl":
+                material = names.setdefault(" ".join(words[1:]), len(names)) if words[1:] else -1
+            elif words[0] == "mtllib":
+                # Several names, or one with spaces: the file system knows.
+                whole = " ".join(words[1:])
+                libraries += [whole] if (source.parent / whole).is_file() else words[1:]
         except ValueError as fault:
             raise InputError(f"{source} line {number} {fault}: export the mesh again") from fault
     positions = np.array([vertex[:3] for vertex in vertices], dtype=np.float64).reshape(-1, 3)
@@ -87,7 +103,8 @@ def parse_obj(data: bytes, source: Path) -> Parsed:
     uv = None
     if textures and (texture >= 0).any():
         uv = np.where(texture[:, None] >= 0, np.array(textures)[texture], np.nan).reshape(-1, 3, 2)
-    return Parsed(positions[vertex], faces, directions, colours, uv)
+    materials = np.array(used, dtype=np.int64) if names else None
+    return Parsed(positions[vertex], faces, directions, colours, uv, materials, tuple(names), tuple(libraries))
 
 
 def _numbers(words: list[str], least: int) -> list[float]:

@@ -4,7 +4,7 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -40,12 +40,16 @@ class Object:
         if self.receives:
             self.material.albedo_of(self.mesh)
             self.material.specular_of(self.mesh)
+            self.material.two_sided_of(self.mesh)
+            self.material.gloss_of(self.mesh)
             self.material.check_energy(self.mesh)
-        brdf = self.material.brdf
-        if self.glossy and brdf is not None and not brdf.isotropic and self.mesh.tangents is None:
+        brdf = next((each for each in self.material.glosses if not each.isotropic), None)
+        if self.glossy and brdf is not None and self.mesh.tangents is None:
             warnings.warn(
                 f"{self.mesh.name} has an anisotropic gloss ({brdf.spec}) and no texture coordinates: its tangents are "
-                "a smooth field, guided by the x axis (another where the surface mostly faces along x)",
+                "a smooth field, guided by the x axis (another where the surface mostly faces along x); on a bumpy "
+                "surface it has points that it turns about, and streaks look like hide there: texture coordinates, "
+                "or tangents in the file, say which way they run",
                 TangentWarning,
                 stacklevel=3,
             )
@@ -63,6 +67,16 @@ class Object:
     def specular(self) -> Float32[Tensor, "V C"]:
         """Weight of the gloss at every vertex, C = 1 or 3; zero without a gloss."""
         return self.material.specular_of(self.mesh)
+
+    @property
+    def gloss_of_vertex(self) -> Int64[Tensor, "V"]:
+        """Which of the glosses of its material lies on every vertex, -1 for none."""
+        return self.material.gloss_of(self.mesh)
+
+    @property
+    def two_sided(self) -> Bool[Tensor, "V"]:
+        """Which vertices record on their reverse as well."""
+        return self.material.two_sided_of(self.mesh)
 
     @property
     def glossy(self) -> bool:

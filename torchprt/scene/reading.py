@@ -2,21 +2,29 @@
 
 import contextlib
 import io
-import json
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from torchprt.errors import InputError
+from torchprt.suffixes import refuse_other
 
+from .gltf import Document, Piece
+from .gltf import pieces as gltf_pieces
+from .gltf_material import gltf_paints
 from .mesh import Mesh, make_mesh
+from .mtl import mtl_paints, picture_map
 from .obj import parse_obj
+from .paint import Paint
+from .texture import srgb_to_linear
+from .usd import read_usd
 
 
 class Raw(NamedTuple):
@@ -30,27 +38,47 @@ class Raw(NamedTuple):
     uv: np.ndarray | None = None
     """Texture coordinates of every corner, [F, 3, 2]; NaN where there are none."""
     tangents: np.ndarray | None = None
+    materials: np.ndarray | None = None
+    """Which material of the file every face has, [F] whole numbers from 0; -1 for none."""
+    more_uv: Mapping[int, np.ndarray] = MappingProxyType({})
+    """Further sets of texture coordinates by their number from 1 on, each as `uv`, which is set 0."""
+    notes: tuple[str, ...] = ()
+    """What the file holds that is not here, in sentences."""
+    paints: Callable[[], tuple[Paint, ...]] | None = None
+    """The materials of the whole file, read when they are asked for; the last is that of faces without any."""
+    tint: np.ndarray | None = None
+    """What the materials are multiplied by at every vertex, linear [V, 3]; None for 1."""
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """The mesh in a .ply, .obj, .glb, .gltf, .stl or .off file, with a report of what was found.
+    """The mesh in a .ply, .obj, .glb, .gltf, .stl, .off or .usd file, with a report of what was found.
 
     - The order of vertices is the file's own; nothing is dropped or merged. Polygons become triangles.
       An .obj vertex that faces use with several normals is repeated beside itself, once for each of them.
     - The pieces of a .glb or .gltf follow each other in the order of its meshes and then of its nodes,
       each in place in the world.
     - Colours: whole numbers in a .ply are sRGB and become linear; floating point (.ply, .obj) is taken as
-      linear; .glb is linear by its standard. Textures and materials are not read.
+      linear; .glb is linear by its standard. Textures and materials are read by `read_surface`.
     - Texture coordinates (`vt` of an .obj, `s t`, `u v`, `texture_u texture_v` or `s1 t1` of the vertices of a .ply,
       TEXCOORD_0 of a .glb) give the tangents, unless the file holds tangents (TANGENT of a .glb).
     - An .obj does not say how much it holds: one that was cut at the end of a line cannot be told from a whole one.
 
-    Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, compressed, without
-    faces, or faulty as `make_mesh` says.
+    - Of a .glb or .gltf, what its default scene draws: skins and morph targets at rest, instances, Draco and meshopt
+      decompressed. Points and lines are left out, and the report says so.
+    - Of a .usd, .usda, .usdc or .usdz what `read_usd` says, if torchprt[usd] is installed.
+
+    Raises InputError, naming the file, if it is missing, empty, cut short, not of its kind, without faces, requires
+    an extension that is not known, or is faulty as `make_mesh` says.
     """
+    return read_raw(path)[0]
+
+
+def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
+    """The mesh of a file as `read_mesh` has it, and all that was read beside it."""
     source = Path(path)
     reader = READERS.get(source.suffix.lower())
     if reader is None:
+        refuse_other(source, "a mesh")
         known = ", ".join(READERS)
         raise InputError(f"{source} is not a mesh file that can be read: convert it to one of {known}")
     try:
@@ -72,7 +100,18 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
             f"{source} is damaged, cut short or not a {source.suffix.lower()} file of triangles "
             f"({_reason(fault)}): export the mesh again"
         ) from fault
-    return make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
+    mesh = make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
+    return replace(mesh, report=replace(mesh.report, notes=raw.notes)), raw
+
+
+def read_paints(raw: Raw, source: str | os.PathLike[str]) -> tuple[Paint, ...]:
+    """The materials of what was read from `source`. Raises InputError, naming it, if they are damaged."""
+    try:
+        return raw.paints() if raw.paints is not None else ()
+    except InputError:
+        raise
+    except Exception as fault:  # What they hold may be of any type.
+        raise InputError(f"{source} has damaged materials ({_reason(fault)}): export the mesh again") from fault
 
 
 @contextlib.contextmanager
@@ -87,11 +126,6 @@ def _strictly() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-def srgb_to_linear(values: np.ndarray) -> np.ndarray:
-    """Linear values of sRGB ones in [0, 1]. Source: IEC 61966-2-1."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def _reason(fault: Exception) -> str:
@@ -136,7 +170,25 @@ def _join(pieces: list[Raw]) -> Raw:
         colours,
         uv,
         tangents,
+        None if all(piece.materials is None for piece in pieces) else _materials(pieces),
+        {number: _more_uv(pieces, number) for number in sorted({each for piece in pieces for each in piece.more_uv})},
+        tuple(note for piece in pieces for note in piece.notes),
+        pieces[0].paints,
+        None if all(piece.tint is None for piece in pieces) else _tint(pieces),
     )
+
+
+def _materials(pieces: list[Raw]) -> np.ndarray:
+    none = [np.full(len(piece.faces), -1) if piece.materials is None else piece.materials for piece in pieces]
+    return np.concatenate(none)
+
+
+def _tint(pieces: list[Raw]) -> np.ndarray:
+    return np.concatenate([np.ones_like(p.positions) if p.tint is None else p.tint for p in pieces])
+
+
+def _more_uv(pieces: list[Raw], number: int) -> np.ndarray:
+    return np.concatenate([p.more_uv.get(number, np.full((len(p.faces), 3, 2), np.nan)) for p in pieces])
 
 
 def _read_ply(data: bytes, source: Path) -> list[Raw]:
@@ -159,7 +211,25 @@ def _read_ply(data: bytes, source: Path) -> list[Raw]:
             "export the mesh again"
         )
     vertex = elements["vertex"]
-    return [Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), _ply_uv(vertex, faces))]
+    uv = _ply_uv(vertex, faces)
+    if uv is None and "face" in elements:
+        uv = _ply_wedges(elements["face"], len(faces))
+    raw = Raw(positions, faces, loaded.get("vertex_normals"), _ply_colours(vertex), uv)
+    return [_ply_materials(raw, data, source)]
+
+
+def _ply_materials(raw: Raw, data: bytes, source: Path) -> Raw:
+    """With the picture that a comment names, as scanners write it, or with the colours of the vertices."""
+    head = data.partition(b"end_header")[0].decode("utf-8", errors="replace").splitlines()
+    named = [line.split(None, 2)[2].strip() for line in head if line.lower().startswith("comment texturefile ")]
+    if not named:
+        return raw._replace(tint=raw.colours)
+    left = ["further pictures"] if len(named) > 1 else []
+    # Scanners write the same colours twice, in a picture and coarser at the vertices.
+    left += ["vertex colours"] if raw.colours is not None else []
+    picture = picture_map(source.parent / named[0])
+    paint = Paint(named[0], colour_map=picture, reflectance=(0.0, 0.0, 0.0), left=tuple(left))
+    return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, Paint("no material")))
 
 
 def _refuse_short_ply(data: bytes, source: Path) -> None:
@@ -197,8 +267,24 @@ def _ply_uv(vertex: dict[str, Any], faces: np.ndarray) -> np.ndarray | None:
     return None
 
 
+def _ply_wedges(face: dict[str, Any], faces: int) -> np.ndarray | None:
+    """Texture coordinates that scanners write with the faces, if all are triangles."""
+    if "texcoord" not in face["properties"]:
+        return None
+    pairs = face["data"]["texcoord"]
+    # Binary lists come with their length, text without.
+    pairs = np.asarray(pairs["f1"] if getattr(pairs, "dtype", None) is not None and pairs.dtype.names else pairs)
+    return pairs.astype(np.float64).reshape(-1, 3, 2) if pairs.shape == (faces, 6) else None
+
+
 def _read_obj(data: bytes, source: Path) -> list[Raw]:
-    return [Raw(*parse_obj(data, source))]
+    parsed = parse_obj(data, source)
+
+    def paints() -> tuple[Paint, ...]:
+        return (*mtl_paints(source, parsed.libraries, parsed.names), Paint("no material"))
+
+    raw = Raw(*parsed[:5], materials=parsed.materials, tint=parsed.colours)
+    return [raw if parsed.materials is None else raw._replace(paints=paints)]
 
 
 def _read_stl(data: bytes, source: Path) -> list[Raw]:
@@ -235,84 +321,38 @@ def _read_off(data: bytes, source: Path) -> list[Raw]:
 
 
 def _read_gltf(data: bytes, source: Path) -> list[Raw]:
-    from trimesh import Scene
-    from trimesh.exchange.gltf import load_glb, load_gltf
-    from trimesh.resolvers import FilePathResolver
+    document = Document(data, source)
+    found = gltf_pieces(document)
+    result = [_raw(piece)._replace(paints=lambda: gltf_paints(document)) for piece in found.pieces]
+    if result:
+        result[0] = result[0]._replace(notes=tuple(found.notes))
+    elif found.notes:
+        raise InputError(f"{source} holds no triangles ({' '.join(found.notes)}): give a mesh of triangles")
+    return result
 
-    binary = source.suffix.lower() == ".glb"
-    if binary and len(data) < int.from_bytes(data[8:12], "little"):
-        raise InputError(f"{source} is cut short, {len(data)} bytes: export the mesh again")
-    header = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")] if binary else data)
-    used = {*header.get("extensionsUsed", ()), *header.get("extensionsRequired", ())}
-    compressed = {"EXT_meshopt_compression", "KHR_meshopt_compression"} & used
-    if not find_spec("DracoPy"):
-        compressed |= {"KHR_draco_mesh_compression"} & used
-    if compressed:
-        raise InputError(f"{source} is compressed with {min(compressed)}: export the mesh without compression")
-    loaded = (load_glb if binary else load_gltf)(
-        io.BytesIO(_with_own_names(data, header, binary)), resolver=FilePathResolver(str(source)), skip_materials=True
+
+def _raw(piece: Piece) -> Raw:
+    faces = piece.faces
+    inside = not faces.size or 0 <= faces.min() <= faces.max() < len(piece.positions)
+    # A face that names no vertex is refused later, in words.
+    corners = {number: values[faces] for number, values in piece.uv.items()} if inside else {}
+    return Raw(
+        piece.positions,
+        faces,
+        piece.normals,
+        None if piece.colours is None else piece.colours[:, :3],
+        corners.pop(0, None),
+        piece.tangents,
+        np.full(len(faces), -1 if piece.material is None else piece.material),
+        corners,
+        tint=None if piece.colours is None else piece.colours[:, :3],
     )
-    geometry = loaded["geometry"]
-    scene = Scene(base_frame=loaded["base_frame"])
-    for node in loaded["graph"]:
-        scene.graph.update(**node)
-    # trimesh walks the nodes from the last to the first: of one mesh, the node met last is the file's first.
-    met = [node for node in loaded["graph"] if "geometry" in node][::-1]
-    rank = {name: number for number, name in enumerate(geometry)}
-    pieces = []
-    for node in sorted(met, key=lambda node: rank[node["geometry"]]):
-        piece = geometry[node["geometry"]]
-        if piece.get("faces") is None:
-            continue
-        matrix, _ = scene.graph[node["frame_to"]]
-        pieces.append(_placed(piece, matrix))
-    return pieces
 
 
-def _with_own_names(data: bytes, header: dict[str, Any], binary: bool) -> bytes:
-    """The file with its texture coordinates and tangents named so that trimesh hands them on without materials."""
-    for mesh in header.get("meshes", ()):
-        for primitive in mesh["primitives"]:
-            attributes = primitive["attributes"]
-            attributes.update(
-                {f"_{name}": attributes[name] for name in ("TEXCOORD_0", "TANGENT") if name in attributes}
-            )
-    text = json.dumps(header).encode()
-    if not binary:
-        return text
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + int.from_bytes(data[12:16], "little") :]
-    total = 20 + len(text) + len(rest)
-    return data[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + data[16:20] + text + rest
-
-
-def _placed(piece: dict[str, Any], matrix: np.ndarray) -> Raw:
-    linear = matrix[:3, :3]
-    positions = np.asarray(piece["vertices"], np.float64) @ linear.T + matrix[:3, 3]
-    faces = np.asarray(piece["faces"], np.int64)
-    # A transform that mirrors turns the winding; the standard asks to turn it back.
-    mirrored = np.linalg.det(linear) < 0
-    normals = piece.get("vertex_normals")
-    if normals is not None:
-        # Normals go by the cofactor matrix, which exists even where the inverse does not.
-        cofactor = np.stack(
-            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
-        )
-        normals = np.asarray(normals, np.float64) @ cofactor.T * (-1 if mirrored else 1)
-    colours = piece.get("vertex_colors")
-    if colours is not None:
-        largest = np.iinfo(colours.dtype).max if np.issubdtype(colours.dtype, np.integer) else 1
-        colours = np.asarray(colours, np.float64)[:, :3] / largest
-    faces = faces[:, ::-1] if mirrored else faces
-    named = piece.get("vertex_attributes", {})
-    uv = named.get("_TEXCOORD_0")
-    if uv is not None:
-        inside = not faces.size or 0 <= faces.min() <= faces.max() < len(uv)
-        uv = np.asarray(uv, np.float64)[faces] if inside else None
-    tangents = named.get("_TANGENT")
-    if tangents is not None:
-        tangents = np.asarray(tangents, np.float64)[:, :3] @ linear.T
-    return Raw(positions, faces, normals, colours, uv, tangents)
+def _read_usd(data: bytes, source: Path) -> list[Raw]:
+    meshes, notes = read_usd(source)
+    result = [Raw(*mesh, tint=mesh.colours) for mesh in meshes]
+    return [result[0]._replace(notes=tuple(notes)), *result[1:]] if result else []
 
 
 READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
@@ -322,4 +362,8 @@ READERS: dict[str, Callable[[bytes, Path], list[Raw]]] = {
     ".gltf": _read_gltf,
     ".stl": _read_stl,
     ".off": _read_off,
+    ".usd": _read_usd,
+    ".usda": _read_usd,
+    ".usdc": _read_usd,
+    ".usdz": _read_usd,
 }

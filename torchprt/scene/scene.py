@@ -3,20 +3,18 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from torchprt.errors import InputError
 
+from .dress import Source, object_of
 from .geometry import Geometry, gather
 from .material import Albedo, Material
 from .material_file import read_material
 from .mesh import Mesh
 from .object import Object
 from .reading import read_mesh
-
-Source = str | os.PathLike[str] | Mesh
-"""A mesh, or the name of the file that holds it."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +85,13 @@ class Scene:
 
 
 def _finish(object: Object) -> list[str]:
-    lines = []
-    brdf = object.material.brdf
-    if object.glossy and brdf is not None:
+    lines = list(object.material.notes) if object.receives else []
+    if object.glossy:
         source = {
             "uv": "from the mesh (texture coordinates or its own)",
             "smooth": "a smooth field, because the mesh has no texture coordinates",
         }[object.tangent_field]
-        lines.append(f"Gloss {brdf.spec}, tangents {source}.")
+        lines.append(f"Gloss {', '.join(each.spec for each in object.material.glosses)}, tangents {source}.")
     if object.receives and object.material.translucency:
         lines.append(f"Translucency {object.material.translucency:g}, both sides record.")
     return lines
@@ -103,23 +100,27 @@ def _finish(object: Object) -> list[str]:
 def load(
     sources: Source | Sequence[Source],
     albedo: Albedo | None = None,
-    two_sided: bool = False,
+    two_sided: bool | None = None,
     blockers: Source | Sequence[Source] = (),
     material: Material | str | None = None,
 ) -> Scene:
-    """The scene of one or several mesh files (or meshes) of one material, and of blockers that only cast shadows.
+    """The scene of one or several mesh files (or meshes), and of blockers that only cast shadows.
 
-    `albedo` is one number, three, a tensor [V, 1] or [V, 3], or "vertex" for the colours in the files; `material` a
-    material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file. An albedo given beside it
-    replaces that of the material, and `two_sided` adds to it. The name of a .toml file alone is that of a whole scene,
-    as `read_scene` reads it; it says its materials itself.
+    - `albedo` is one number, three, a tensor [V, 1] or [V, 3], "vertex" for the colours of the vertices in the files,
+      or "file" for base colour times texture times vertex colour: the default without a material, where the file has
+      any of them; else .5.
+    - `material` is a material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file, or "file"
+      for albedo and gloss of the file's own. An albedo given beside it replaces that of the material.
+    - `two_sided` says whether both sides receive light, instead of the material or the file.
+
+    The name of a .toml file alone is that of a whole scene, as `read_scene` reads it; it says its materials itself.
 
     Raises InputError as `read_mesh`, `read_scene`, `read_material` and `Material` do, if there is no mesh, or if a
     scene comes with other meshes or a material.
     """
     scenes = [each for each in _several(sources) if not isinstance(each, Mesh) and is_scene(each)]
     if scenes:
-        if len(_several(sources)) > 1 or albedo is not None or material is not None or two_sided:
+        if len(_several(sources)) > 1 or albedo is not None or material is not None or two_sided is not None:
             raise InputError(
                 f"{scenes[0]} is a scene, which says its meshes and their materials itself: leave other meshes, "
                 "albedo, material and two_sided out"
@@ -128,12 +129,9 @@ def load(
 
         scene = read_scene(scenes[0])
         return Scene([*scene.objects, *_blocking(blockers)]) if _several(blockers) else scene
-    material = read_material(material) if isinstance(material, str) else material or Material(albedo)
-    changes: dict[str, Any] = {"two_sided": True} if two_sided else {}
-    if albedo is not None:
-        changes["albedo"] = albedo
-    material = replace(material, **changes)
-    receiving = [Object(_mesh(source), material) for source in _several(sources)]
+    if isinstance(material, str) and material != "file":
+        material = read_material(material)
+    receiving = [object_of(source, albedo, two_sided, material) for source in _several(sources)]
     return Scene(receiving + _blocking(blockers))
 
 

@@ -10,6 +10,7 @@ import torch
 from torchprt.errors import InputError
 from torchprt.sh import yaw_pitch_roll
 
+from .dress import object_of
 from .ground import ground
 from .material import Material
 from .material_file import KEYS, given, read_material
@@ -27,7 +28,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
 
     - `mesh`: the file, as `read_mesh` takes it. `role`: "receiver" (default), "blocker" or "ground".
     - `material`: text or the name of a .toml, as `read_material` takes it; beside or instead of it the keys of such a
-      .toml: `albedo`, `specular`, `two_sided`, `translucency`, `gloss`, `tabulated`.
+      .toml: `albedo`, `specular`, `two_sided`, `translucency`, `gloss`, `tabulated`. `material = "file"` and
+      `albedo = "file"` are those of the mesh file; the latter is the default without a gloss, where it has any.
     - `scale` (a number above 0), `rotate` ([yaw, pitch, roll] in degrees about +y, +x, +z) and `move` ([x, y, z]), in
       this order, about the origin.
     - `[ground]`: `height` (the lowest point of all receivers by default) and `albedo` (.5).
@@ -58,10 +60,28 @@ def _object(source: Path, table: dict[str, Any]) -> Object:
     if role not in ROLES:
         raise InputError(f"{source} has role = {role!r}: use one of {', '.join(ROLES)}")
     try:
-        return Object(_placed(source, table, read_mesh(source.parent / table["mesh"])), _material(source, table), role)
+        return _dressed(source, table, role)
     except InputError as fault:
         text = str(fault)
         raise InputError(text if text.startswith(str(source.parent)) else f"{source}: {text}") from fault
+
+
+def _dressed(source: Path, table: dict[str, Any], role: str) -> Object:
+    path = source.parent / table["mesh"]
+    if role == "blocker":
+        return Object(_placed(source, table, read_mesh(path)), _material(source, table), role)
+    said = {key: value for key, value in table.items() if key in KEYS}
+    of_file = {key: table[key] for key in ("albedo", "material") if table.get(key) == "file"}
+    if of_file or not {"albedo", "material", "gloss", "tabulated"} & table.keys():
+        # What the table says beside it replaces what the file says.
+        rest = {key: value for key, value in said.items() if key not in of_file}
+        if "material" in of_file and {"gloss", "tabulated"} & rest.keys():
+            raise InputError(f"{source} has both material and gloss in an [[object]]: keep one")
+        plain = {key: value for key, value in table.items() if key not in of_file}
+        material = None if "material" not in table or "material" in of_file else _material(source, plain)
+        dressed = object_of(path, of_file.get("albedo"), None, of_file.get("material", material))
+        return Object(_placed(source, table, dressed.mesh), replace(dressed.material, **given(source, rest)), role)
+    return Object(_placed(source, table, read_mesh(path)), _material(source, table), role)
 
 
 def _material(source: Path, table: dict[str, Any]) -> Material:

@@ -5,8 +5,10 @@ from .cylinder import cylinder
 from .dish import dish
 from .head import head
 from .organic import organic
+from .painted_vase import painted_vase, vase_picture, write_painted_vase
 from .patches import bumps, waffle, wrinkles
 from .plane_and_blocker import plane_and_blocker
+from .still_life import still_life
 from .teapot import teapot
 from .vase import vase
 from .wing import flap, wing, wing_rig, wing_translucency
@@ -19,12 +21,16 @@ __all__ = [
     "flap",
     "head",
     "organic",
+    "painted_vase",
     "plane_and_blocker",
+    "still_life",
     "teapot",
     "vase",
+    "vase_picture",
     "waffle",
     "wing",
     "wing_rig",
     "wing_translucency",
     "wrinkles",
+    "write_painted_vase",
 ]

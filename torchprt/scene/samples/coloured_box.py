@@ -33,31 +33,31 @@ def coloured_box(resolution: int = 64) -> Scene:
     back = grid((-1.0, -1.0, -1.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), n, n)
     left = grid((-1.0, -1.0, 1.0), (0.0, 0.0, -2.0), (0.0, 2.0, 0.0), n, n)
     right = grid((1.0, -1.0, -1.0), (0.0, 0.0, 2.0), (0.0, 2.0, 0.0), n, n)
-    sphere = _sphere((0.42, -0.62, 0.3), 0.38, n)
-    block = _block((-0.38, -1.0, -0.32), (0.6, 1.25, 0.6), 17.0, n)
+    ball = sphere((0.42, -0.62, 0.3), 0.38, n)
+    tall = block((-0.38, -1.0, -0.32), (0.6, 1.25, 0.6), 17.0, n)
     return Scene(
         [
             Object(make_mesh(*join(floor, ceiling, back), name="room"), Material(WHITE)),
             Object(make_mesh(*left, name="red wall"), Material(RED)),
             Object(make_mesh(*right, name="green wall"), Material(GREEN)),
-            Object(make_mesh(*block, name="block"), Material(WHITE)),
-            Object(make_mesh(*sphere, name="sphere"), Material(WHITE)),
+            Object(make_mesh(*tall, name="block"), Material(WHITE)),
+            Object(make_mesh(*ball, name="sphere"), Material(WHITE)),
         ]
     )
 
 
-def _sphere(
+def sphere(
     centre: tuple[float, float, float], radius: float, resolution: int
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+    """A ball whose triangles are about as large as those of walls with `resolution` squares along 2 units."""
     from trimesh.creation import icosphere
 
-    # Triangles about as large as those of the walls.
     subdivisions = max(1, round(np.log2(resolution * radius / 1.2)))
-    sphere = icosphere(subdivisions=subdivisions, radius=radius)
-    return sphere.vertices + np.array(centre), sphere.faces.astype(np.int64)
+    ball = icosphere(subdivisions=subdivisions, radius=radius)
+    return ball.vertices + np.array(centre), ball.faces.astype(np.int64)
 
 
-def _block(
+def block(
     foot: tuple[float, float, float], size: tuple[float, float, float], degrees: float, resolution: int
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
     """A block without a bottom, its foot centred at `foot`, turned about +y."""
