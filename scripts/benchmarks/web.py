@@ -72,7 +72,8 @@ def run(rounds: int = 5) -> None:
             server.shutdown()
             thread.join()
     rich.print(f"{transfer.vertices} vertices, order {ORDER}, {rounds} cold browsers, {version}")
-    rich.print(f"folder: {report.bytes / 2**20:.1f} MB (target 20)")
+    own = report.model_bytes / 2**20
+    rich.print(f"folder: {report.bytes / 2**20:.1f} MB (target 20), of which model, mesh and lights are {own:.1f}")
     rich.print(f"first picture of a cold page: {_spread(firsts, 1e-3)} s (target 3)")
     rich.print(f"one shade, WebAssembly on one thread: {_spread(shades, 1)} ms (target 10)")
 

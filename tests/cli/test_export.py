@@ -36,6 +36,7 @@ def no_npm(tmp_path_factory, monkeypatch):
         (["-o", "a.onnx", "--source", "a.glb"], ["--source", ".onnx"]),
         (["-o", "a.glb", "--source", "none.glb"], ["none.glb does not exist"]),
         (["-o", "a.glb", "--title", "T"], ["--title", ".glb without --web"]),
+        (["-o", "a.glb", "--exact"], ["--exact", ".glb without --web"]),
         (["-o", "a.glb", "--size", 8], ["--size", ".glb"]),
         (["-o", "a.glb", "--order", 5], ["order 5 is not between 1 and the 4"]),
         (["-o", "page", "--web", "--light", "none.exr"], ["none.exr"]),

@@ -130,6 +130,29 @@ def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     assert said["environments"][0]["exposure"] == pytest.approx(automatic_exposure(torch.from_numpy(light)), abs=0.01)
 
 
+def test_packing_is_measured_and_said_and_exact_packs_nothing(make_transfer, tmp_path, untyped, lamps):
+    transfer = make_transfer(side=40, channels=3)
+    whole = export(transfer, tmp_path / "whole", environments=lamps, exact=True)
+    small = export(transfer, tmp_path / "small", environments=lamps)
+    assert whole.packed is None
+    assert (whole.losses(), whole.places) == ("", 0)
+    assert 1e-6 < small.packed.relative_rms < 2e-3
+    assert f"{small.packed.relative_rms:.1e}" in small.losses()
+    assert "--exact" in small.losses()
+    assert 0 < small.places < 2 / 65535
+    assert small.model_bytes < 0.6 * whole.model_bytes
+    assert small.model_bytes < small.bytes
+    own = ("model.onnx.gz", "mesh.glb", "scene.json", "environments/0.jpg")
+    assert small.model_bytes == sum((tmp_path / "small" / name).stat().st_size for name in own)
+    light = torch.randn(1, 16, 3, generator=torch.Generator().manual_seed(4))
+    feed = {"light": light.numpy(), "rotation": np.eye(3, dtype=np.float32)[None]}
+    expected = shader(transfer)(light)
+    for folder, allowed in (("whole", 1e-5), ("small", 2e-3)):
+        (found,) = session_of(tmp_path / folder / "model.onnx").run(None, feed)
+        error = float((torch.from_numpy(found) - expected).square().mean().sqrt() / expected.square().mean().sqrt())
+        assert error < allowed
+
+
 def test_a_former_page_is_replaced_as_a_whole(make_transfer, tmp_path, no_graph, lamps):
     export(make_transfer(), tmp_path / "page", environments=2 * lamps, check=False)
     (tmp_path / "page" / "leftover.js").write_text("")
@@ -146,7 +169,7 @@ def test_a_fault_leaves_the_former_page(make_transfer, tmp_path, no_graph, lamps
     def fail(*_, **__):
         raise RuntimeError("full disk")
 
-    monkeypatch.setattr(EXPORT.preview, "save_glb", fail)
+    monkeypatch.setattr(EXPORT, "save_small_glb", fail)
     with pytest.raises(RuntimeError, match="full disk"):
         export(make_transfer(side=4), tmp_path / "page", environments=lamps)
     assert about(tmp_path / "page")["vertices"] == 25

@@ -379,6 +379,12 @@ def test_too_little_memory_is_no_damage(visit, address):
     assert "torchprt compress" in said
 
 
+def test_a_graphics_card_that_is_lost_is_told(plane_tab):
+    plane_tab.ask('it.view.renderer.getContext().getExtension("WEBGL_lose_context").loseContext();')
+    plane_tab.page.wait_for_selector("#message:not([hidden])")
+    assert "Load this page again" in plane_tab.page.inner_text("#message")
+
+
 def test_without_scripts_it_says_so(browser, address):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()

@@ -68,6 +68,9 @@ async function start() {
   }
   for (const each of described.environments) each.coefficients = Float32Array.from(each.coefficients.flat());
   const viewer = new Viewer(at("canvas"), described, mesh, model, compressed, pictures);
+  at("canvas").addEventListener("webglcontextlost", () =>
+    window.complain("The graphics card was lost", "The system or another page took it away. Load this page again."),
+  );
   connect(viewer);
   await viewer.change();
   at("loading").hidden = true;
