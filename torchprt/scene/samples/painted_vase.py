@@ -166,7 +166,7 @@ def _coral(u: Float32[np.ndarray, "H W"], v: Float32[np.ndarray, "H W"]) -> Floa
     parts = []
     for phase, side in ((0.25, 1), (0.75, -1)):
         x, y = _cell(u - (phase - 0.5) / 6, 6) * (AROUND / 6), (v - BELLY) * side
-        for dx, dy in ((0.0, 0.062), (-0.024, 0.053), (0.024, 0.053)):
+        for dx, dy in ((0.0, 0.056), (-0.024, 0.048), (0.024, 0.048)):
             parts.append(np.hypot(x - dx, y - dy) - 0.0095)
     x, y = _cell(u, 20) * (AROUND / 20), v - 0.3675
     parts.append(np.hypot(x / 0.8, y) - 0.0095)
@@ -188,6 +188,6 @@ def _leaf(
     x: Float32[np.ndarray, "H W"], y: Float32[np.ndarray, "H W"], lean: float, length: float, width: float
 ) -> Float32[np.ndarray, "H W"]:
     """A pointed leaf around the origin, `length` and `width` half its extents, leaning to the right."""
-    cosine, sine = np.cos(lean), np.sin(lean)
+    cosine, sine = math.cos(lean), math.sin(lean)
     along, across = x * sine + y * cosine, x * cosine - y * sine
     return np.abs(across) - width * (1 - np.clip((along / length) ** 2, 0, 4))
