@@ -62,7 +62,7 @@ def figure5(
     size = (360, 340)
     corners = positions[faces.long()].flatten(0, 1)
     camera = preview.frame(positions, toward, aspect=size[0] / size[1])
-    still = preview.Still(corners, torch.arange(len(corners)).view(-1, 3), size=size, camera=camera, samples=3)
+    still = preview.Still(corners, torch.arange(len(corners)).view(-1, 3), size=size, camera=camera, samples=9)
     pictures = []
     for label in labels.values():
         a, b, c = label[faces.long()].unbind(1)

@@ -180,7 +180,7 @@ def still(model: str) -> tuple[preview.Still, Tensor]:
     size = PICTURE[name]
     camera = preview.frame(shape.positions, VIEWS[name], aspect=size[0] / size[1])
     transfer = diffuse(model)
-    return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3), torch.tensor(
+    return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=9), torch.tensor(
         camera.eye
     )
 

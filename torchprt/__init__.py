@@ -74,5 +74,19 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'torchprt' has no attribute '{name}'")
 
 
+def load_ipython_extension(shell: Any) -> None:
+    """`%load_ext torchprt`: transfers and lights of a notebook are shown as pictures (see docs/guide.md)."""
+    from .notebook import load_ipython_extension
+
+    load_ipython_extension(shell)
+
+
+def unload_ipython_extension(shell: Any) -> None:
+    """`%unload_ext torchprt`."""
+    from .notebook import unload_ipython_extension
+
+    unload_ipython_extension(shell)
+
+
 def __dir__() -> list[str]:
     return sorted(__all__)

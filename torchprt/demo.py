@@ -20,7 +20,8 @@ from torchprt.transport import bake
 from torchprt.words import count
 
 SIZE = (420, 420)
-EXPOSURE = -1.5
+EXPOSURE = -1.7
+"""Of the studio, as `preview.automatic_exposure` gives it."""
 STONE = 0.6
 # Order of the glossy part: of the light, and toward the eye.
 GLOSS = 6
@@ -160,18 +161,19 @@ def reflections(bakes: list[Transfer], lamps: Tensor) -> Tensor:
     radiance = [_shade(each, lamps, camera) for each in bakes]
     labels = [count(each.bounces, "bounce") for each in bakes]
     radiance.append(4 * (radiance[-1] - radiance[0]).clamp(min=0))
-    pictures = [still.picture(each, exposure=EXPOSURE - 1) for each in radiance]
+    pictures = [still.picture(each, exposure=EXPOSURE) for each in radiance]
     return preview.sheet(pictures, [*labels, "the difference, times 4"], columns=3)
 
 
 def eyes(transfer: Transfer, lamps: Tensor) -> Tensor:
     """A glossy surface from six sides under one light: highlights move over it with the eye."""
     pictures, labels = [], []
+    # From one distance, so that nothing jumps.
+    orbit = preview.Orbit.around(transfer.positions, (0.0, 0.5, 1.0), sides=6)
     for angle in range(0, 360, 60):
-        turn = math.radians(angle)
-        camera = preview.frame(transfer.positions, (math.sin(turn), 0.5, math.cos(turn)), aspect=1.0)
+        camera = orbit.turned(-math.radians(angle), 0.0).camera()
         still = preview.Still(transfer.positions, transfer.faces, size=SIZE, camera=camera)
-        pictures.append(still.picture(_shade(transfer, lamps, camera), exposure=EXPOSURE - 1))
+        pictures.append(still.picture(_shade(transfer, lamps, camera), exposure=EXPOSURE))
         labels.append(f"eye at {angle} degrees from +z to +x")
     return preview.sheet(pictures, labels, columns=3)
 

@@ -1,8 +1,16 @@
-"""Counts in words: one is not several."""
+"""Counts and choices in words."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 _PLURALS = {"vertex": "vertices", "axis": "axes"}
+
+
+def either(words: Sequence[str]) -> str:
+    """ "a", "a or b", "a, b or c"."""
+    *before, last = words
+    return f"{', '.join(before)} or {last}" if before else last
 
 
 def count(number: int, noun: str, plural: str = "") -> str:

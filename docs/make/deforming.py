@@ -108,7 +108,7 @@ def deformed() -> Tensor:
     """The bent and twisted head by four kinds of transfer: figure 6 c to e of the paper, and unshadowed."""
     positions = posed_head(0.5, 0.6)
     camera = preview.frame(positions, (-0.1, 0.15, 1.0), aspect=0.8)
-    still = preview.Still(positions, head().faces, size=(320, 400), camera=camera, samples=3)
+    still = preview.Still(positions, head().faces, size=(320, 400), camera=camera, samples=9)
     rest = diffuse(head(), head().positions)
     found = {
         "unshadowed": shaded(diffuse(head(), positions, shadows=False), lamps()),
@@ -131,7 +131,7 @@ def bending() -> list[Tensor]:
     camera = preview.frame(torch.cat(poses), (-0.1, 0.15, 1.0), aspect=1.0)
     pictures = []
     for positions in poses:
-        still = preview.Still(positions, head().faces, size=(280, 280), camera=camera, samples=2)
+        still = preview.Still(positions, head().faces, size=(280, 280), camera=camera, samples=4)
         pictures.append(still.picture(shaded(lobes(4), lamps(), positions=positions.float())))
     return pictures
 
@@ -175,7 +175,7 @@ def flapping() -> list[Tensor]:
     sky = (disc + light.constant(0.12, order=ORDER)).float()
     radiance = shaded(transfer, sky, frames=frames)
     camera = preview.frame(positions.flatten(0, 1), (0.5, 0.15, 1.0), aspect=1.1)
-    stills = (preview.Still(each, transfer.faces, size=(330, 300), camera=camera, samples=3) for each in positions)
+    stills = (preview.Still(each, transfer.faces, size=(330, 300), camera=camera, samples=9) for each in positions)
     return [still.picture(each) for still, each in zip(stills, radiance, strict=True)]
 
 
@@ -193,7 +193,7 @@ def patches() -> Tensor:
     mesh = samples.vase(300).objects[0].mesh
     positions = bend(twist(mesh.positions, 0.6, 0.2, 2.0), 0.4, 0.2, 2.0)
     camera = preview.frame(positions, (-0.05, 0.35, 1.0), aspect=0.8)
-    still = preview.Still(positions, mesh.faces, size=(320, 400), camera=camera, samples=3)
+    still = preview.Still(positions, mesh.faces, size=(320, 400), camera=camera, samples=9)
     pictures, labels = [], []
     for shadows in (False, True):
         for name, (sample_of, around) in PATCHES.items():
@@ -214,8 +214,12 @@ def cylinders() -> dict[str, tuple[Mesh, Tensor, Tensor]]:
     mesh = samples.cylinder(150).objects[0].mesh
     assert mesh.uv is not None
     depth = (math.pi * mesh.positions[:, 1] / 3).sin()
-    positions = twist(bend(mesh.positions, 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
-    deformed = twist(bend(carved(mesh, depth), 0.7, 0.3, 2.7), 0.5, 0.3, 2.7)
+
+    def posed(places: Tensor) -> Tensor:
+        # Turned evenly from end to end: where a twist begins, normals break, which would be seen as a line.
+        return bend(twist(places, 0.6, 0.0, 3.0), 0.7, 0.3, 2.7)
+
+    positions, deformed = posed(mesh.positions), posed(carved(mesh, depth))
     # u counts grooves, v is their depth; so they are no chart, and frames come from that of the mesh.
     uv = torch.stack([mesh.uv[..., 0] * GROOVES, depth[mesh.faces]], -1)
     frames = surface_frames(mesh.positions, mesh.faces, mesh.uv, mesh.normals).float()
@@ -234,7 +238,11 @@ def wrinkled() -> Tensor:
     camera = preview.frame(positions, (-0.25, 0.2, 1.0), aspect=0.6)
     pictures = []
     for _, points, radiance in found.values():
-        still = preview.Still(points, mesh.faces, size=(270, 450), camera=camera, samples=3)
+        # The tube is open: what its end would show of the inside has the light of the outside.
+        first, second, third = points[mesh.faces].unbind(1)
+        normals = torch.linalg.cross(second - first, third - first)
+        outside = (normals * (torch.tensor(camera.eye).double() - first)).sum(-1) > 0
+        still = preview.Still(points, mesh.faces[outside], size=(270, 450), camera=camera, samples=9)
         pictures.append(still.picture(radiance))
     return preview.sheet(pictures, list(found), columns=4)
 

@@ -21,6 +21,7 @@ from torchprt.scene import Material, Points, Scene, samples
 from torchprt.shade import shader
 from torchprt.transfer import Transfer
 from torchprt.transport import bake
+from torchprt.transport.bounces import Bounces
 
 VERTICES, SAMPLE, REFERENCE_RAYS = 10_000, 400, 1 << 16
 
@@ -77,13 +78,14 @@ def bounces() -> Table:
     lamps = (light.disc((0.25, 0.5, 1.0), math.radians(25), 1.6, 5) + light.constant(0.1, 5)).float()
     table = Table("bounces: relative RMS error of radiance against following light until it is spent")
     scenes = {"coloured box": samples.coloured_box(24), "sculpture, albedo .6": samples.organic(VERTICES, albedo=0.6)}
-    counts = (0, 1, 2, 3, 5)
-    columns: dict[int, dict[str, str]] = {count: {} for count in counts}
+    counts: tuple[Bounces, ...] = (0, 1, 2, 3, 5, "auto")
+    columns: dict[Bounces, dict[str, str]] = {count: {} for count in counts}
     for name, scene in scenes.items():
         whole = shader(bake(scene, rays=512, bounces=math.inf, progress=False))(lamps)
         for count in counts:
-            part = shader(bake(scene, rays=512, bounces=count, progress=False))(lamps)
-            columns[count][name] = f"{relative_rms(part, whole):.1%}"
+            baked = bake(scene, rays=512, bounces=count, progress=False)
+            left = f"{relative_rms(shader(baked)(lamps), whole):.1%}"
+            columns[count][name] = f"{left}, {baked.bounces}" if count == "auto" else left
     for count in counts:
         table.add(str(count), extra=columns[count])
     return table

@@ -32,7 +32,7 @@ def main() -> None:
             tab = browser.new_page(viewport=SIZE)
             tab.goto(f"http://127.0.0.1:{server.server_port}/")
             tab.wait_for_selector("body[data-ready]", timeout=60_000)
-            tab.click("#environments button:nth-child(2)")
+            tab.click("#environments label:nth-child(2)")
             tab.evaluate(
                 "async () => { await torchprt.raced; await torchprt.turnLight(60, 0); await torchprt.zoom(0.6); }"
             )

@@ -35,7 +35,8 @@ from torchprt.transfer import Clustered, Transfer
 from torchprt.transport import bake
 
 FOLDER = Path(__file__).parents[1] / "images"
-EXPOSURE = -2.2
+# Of the studio, as `automatic_exposure` gives it.
+EXPOSURE = -1.7
 WARM, COOL = "#d1495b", "#30638e"
 
 
@@ -70,7 +71,7 @@ def still(transfer: Transfer, size: tuple[int, int]) -> preview.Still:
     # The camera frames the sculpture, not the ground that goes on behind it.
     shape = stage().objects[0].mesh.positions
     camera = preview.frame(shape, (0.35, 0.45, 1.0), aspect=size[0] / size[1])
-    return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3)
+    return preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=9)
 
 
 def shaded(transfer: Transfer, lamps: Tensor) -> Tensor:
@@ -150,7 +151,7 @@ def teapot() -> Tensor:
     """Copper under one lamp: unshadowed, with the shadows of knob and spout, and with the spout in the body."""
     order, size = 8, (420, 290)
     copper = Material(0.06, gloss="ggx:0.2", specular=(0.9, 0.62, 0.5))
-    scene = samples.teapot(20_000, copper)
+    scene = samples.teapot(40_000, copper)
     options: dict[str, Any] = {"order": order, "rays": 512, "progress": False}
     bakes = [bake(scene, **options, shadows=False), bake(scene, **options), bake(scene, **options, bounces=1)]
     lamp = light.disc((-0.8, 0.75, -0.25), math.radians(14), (1.0, 0.8, 0.6), order, normalise=True)
@@ -158,11 +159,11 @@ def teapot() -> Tensor:
     lamps = windowed(lamp + sky, order)
     points, faces = bakes[0].positions, bakes[0].faces
     camera = preview.frame(points, (0.7, 0.9, 1.0), aspect=size[0] / size[1], field=25.0)
-    still = preview.Still(points, faces, size=size, camera=camera, samples=3)
+    still = preview.Still(points, faces, size=size, camera=camera, samples=9)
     radiance = [seen_from(each, lamps, camera) for each in bakes]
     radiance.append(4 * (radiance[2] - radiance[1]).clamp(min=0))
     labels = ["unshadowed", "shadows", "shadows and one bounce", "what the bounce adds, four times as bright"]
-    pictures = [still.picture(each, exposure=-0.2, background=0.01) for each in radiance]
+    pictures = [still.picture(each, exposure=0.5, background=0.01) for each in radiance]
     return preview.sheet(pictures, labels, columns=2)
 
 
@@ -179,7 +180,7 @@ def streaks() -> Tensor:
     for material in materials.values():
         transfer = bake(samples.dish(88, material), order=order, rays=512, progress=False)
         camera = preview.frame(transfer.positions, (0.0, 1.0, 0.45), aspect=size[0] / size[1], field=25.0)
-        still = preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=3)
+        still = preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=9)
         radiance = seen_from(transfer, windowed(lamp, order), camera)
         # Highlights of different size have different peaks: each fills the range of the picture.
         peak = float(still.radiance(radiance, 0.0).quantile(0.99))
@@ -196,7 +197,7 @@ def projections() -> Tensor:
     options: dict[str, Any] = {"order": order, "rays": 512, "progress": False}
     reference = bake(scene, **options, output_order=most)
     camera = preview.frame(reference.positions, (0.5, 0.45, 1.0), aspect=size[0] / size[1], field=25.0)
-    still = preview.Still(reference.positions, reference.faces, size=size, camera=camera, samples=3)
+    still = preview.Still(reference.positions, reference.faces, size=size, camera=camera, samples=9)
     wanted = seen_from(reference, lamps, camera)
     shown = still.radiance(wanted, 0.0)
     scale, exposure = float(shown.square().mean().sqrt()), -math.log2(float(shown.quantile(0.99))) - 0.3
@@ -232,7 +233,7 @@ def packed(**options: Any) -> tuple[Transfer, Clustered]:
 
 def teapot_still(size: tuple[int, int]) -> tuple[preview.Still, preview.Camera]:
     camera = preview.frame(brushed().positions, (0.5, 0.5, 1.0), aspect=size[0] / size[1], field=25.0)
-    return preview.Still(brushed().positions, brushed().faces, size=size, camera=camera, samples=3), camera
+    return preview.Still(brushed().positions, brushed().faces, size=size, camera=camera, samples=9), camera
 
 
 def clusters() -> Tensor:
@@ -356,7 +357,7 @@ def with_lobe(
     assert function is not None
     positions = torch.cat([transfer.positions.double(), function.positions])
     faces = torch.cat([transfer.faces.long(), function.faces + transfer.vertices])
-    still = preview.Still(positions, faces, size=(size, size), camera=camera, samples=3)
+    still = preview.Still(positions, faces, size=(size, size), camera=camera, samples=9)
     return still.radiance(torch.cat([colours.double(), function.colours]), background=0.27)
 
 

@@ -42,9 +42,10 @@ def baked(done, path, *options, rays=256):
 def test_bounces_need_three_channels_only_if_albedo_has_colour(done, corner):
     path, _ = corner
     cases = [
-        (["--albedo", "0.5"], 1, 1, 2),
-        (["--albedo", "0.5", "--bounces", 1], 1, 1, 1),
-        (["--bounces", 1], 3, 3, 1),
+        # The file has colours, which are taken unless an albedo is given.
+        ([], 3, 3, 4),
+        (["--albedo", 0.5], 1, 1, 3),
+        (["--albedo", 0.5, "--bounces", 1], 1, 1, 1),
         (["--albedo", "0.5,0.5,0.5", "--bounces", 1], 1, 1, 1),
         (["--albedo", "0.9,0.1,0.1", "--bounces", 0], 1, 3, 0),
         (["--albedo", "0.9,0.1,0.1", "--bounces", 2], 3, 3, 2),

@@ -9,6 +9,7 @@ import trimesh
 from environments import lamp, save_exr
 from transfers import stored
 
+from torchprt.light import BUILT_IN
 from torchprt.transfer import load
 
 
@@ -77,7 +78,7 @@ def test_a_page_takes_its_title_from_the_file_and_its_lights_from_the_samples(do
     assert "Studio" in said
     about = json.loads((tmp_path / "page" / "scene.json").read_text())
     assert about["title"] == "ball"
-    assert len(about["environments"]) == 4
+    assert len(about["environments"]) == len(BUILT_IN)
 
 
 def test_transfer_leaves_as_attributes(done, folder, tmp_path):

@@ -29,7 +29,9 @@ def dunes(tmp_path_factory):
     x, z = torch.meshgrid(ticks, ticks, indexing="xy")
     points = torch.stack([x, torch.sin(x) * torch.cos(1.3 * z), -z], -1).view(-1, 3)
     trimesh.Trimesh(points.numpy(), grid(155, 155).numpy(), process=False).export(folder / "dunes.ply")
-    return folder / "dunes.ply", bake(load_scene(folder / "dunes.ply"), rays=RAYS, threads=1, progress=False)
+    return folder / "dunes.ply", bake(
+        load_scene(folder / "dunes.ply"), rays=RAYS, bounces="auto", threads=1, progress=False
+    )
 
 
 def start(path, output):

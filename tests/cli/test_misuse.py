@@ -90,7 +90,7 @@ MESHES = {
 def test_a_mesh_that_cannot_be_used(name, role, refused, tmp_path, folder):
     content, word = MESHES[name]
     if role == "info" and name == "a.blend":
-        word = "no image"
+        word = "no file that can be told of"
     path = tmp_path / name
     path.write_bytes(content)
     whole = ["bake", folder / "ball.ply", "--blocker", path, "-o", tmp_path / "a.safetensors"]
@@ -233,6 +233,7 @@ def test_an_image_that_cannot_be_used(name, content, word, refused, folder, tmp_
         (tmp_path / name).write_bytes(content)
     for arguments in lights(folder, tmp_path, tmp_path / name):
         refused(name, word, arguments=arguments)
+    word = "does not exist" if content is None else word
     refused(name, word, arguments=["info", tmp_path / name])
 
 
@@ -329,8 +330,9 @@ def test_coefficients_that_cannot_be_used(name, refused, folder, tmp_path):
     make(path)
     arguments = ["shade", folder / "ball.safetensors", "--light", path, "-o", tmp_path / "out.npy"]
     refused(f"{name}.npy", word, arguments=arguments)
-    if name != "another_order":
-        refused(f"{name}.npy", word, arguments=["info", path])
+    # These hold something else, which can be told.
+    if name not in ("another_order", "no_square", "no_rows", "one_channel", "flat"):
+        refused(f"{name}.npy", "is a folder" if name == "folder" else word, arguments=["info", path])
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "65"])
@@ -419,7 +421,7 @@ def test_a_transfer_that_cannot_be_used(name, refused, folder, tmp_path):
 @pytest.mark.parametrize(
     ("option", "text"),
     [
-        *(("--rotate", text) for text in ("90", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "inf,0,0", "")),
+        *(("--rotate", text) for text in ("1,2,3,4", "1,,2", "a,b,c", "nan,0,0", "inf,0,0", "")),
         *(("--size", text) for text in ("800", "0x600", "800x0", "-1x5", "800,600", "99999x9", "x", "²x3", "1.5x2")),
         *(("--view", text) for text in ("0,0,0", "1,2", "x,y,z", "nan,0,1", "")),
         *(("--window", text) for text in ("hamming", "Hann", "")),
@@ -470,3 +472,22 @@ def test_a_light_file_is_where_the_sentence_says(folder, refused, tmp_path):
     np.save(tmp_path / "a.npy", disc((0.0, 1.0, 0.0), 0.5, 1.0, 3).numpy())
     given = Path(tmp_path) / "." / "a.npy"
     refused(str(given), arguments=["shade", folder / "ball.safetensors", "--light", given, "-o", tmp_path / "b.npy"])
+
+
+def test_a_page_without_its_option_is_told_of_it(refused, folder, tmp_path):
+    for name in ("page", "made"):
+        if name == "made":
+            (tmp_path / name).mkdir()
+        refused(
+            f"{name} must end in",
+            "give --web",
+            arguments=["export", folder / "ball.safetensors", "-o", tmp_path / name],
+        )
+
+
+def test_an_input_of_another_kind_is_called_by_its_name(refused, folder, tmp_path):
+    refused("ball.ply is a mesh, not a transfer", arguments=["shade", folder / "ball.ply", "-o", tmp_path / "a.npy"])
+    refused(
+        "ball.safetensors is a transfer, not a mesh",
+        arguments=["bake", folder / "ball.safetensors", "-o", tmp_path / "a.safetensors"],
+    )

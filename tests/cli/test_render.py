@@ -24,7 +24,8 @@ def pixels(path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-o", "a.jpg"], ["must end in .png or .gif"]),
+        (["-o", "a.tga"], ["must end in .png, .jpg, .jpeg, .webp, .gif or .mp4"]),
+        (["-o", "a.gif", "--backdrop", "transparent"], ["a.gif cannot hold: write .png or .webp"]),
         (["-o", "none/a.png"], ["does not exist, make it first"]),
         (["--size", "0x5"], ["--size is '0x5'"]),
         (["--turntable", 3, "--light-turntable", 3], ["both given"]),
@@ -32,16 +33,25 @@ def pixels(path):
         (["--rate", "nan"], ["--rate is nan"]),
         (["--exposure", "inf"], ["--exposure is inf"]),
         (["--view", "0,0,0"], ["--view is '0,0,0'"]),
-        (["--rotate", "1,2"], ["--rotate is '1,2'"]),
+        (["--rotate", "1,2,3,4"], ["--rotate is '1,2,3,4'"]),
         (["--window", "x"], ["--window is 'x'"]),
         (["--tone", "x"], ["--tone is 'x'"]),
         (["--light", "none.exr"], ["none.exr"]),
-        (["--light", "sky", "--background"], ["--background", "sky is no image"]),
+        (["--light", "sunet"], ["light 'sunet'", "studio", "sunset"]),
+        (["--light", "light.npy", "--background"], ["--background", "light.npy is no image"]),
+        (["--background", "--backdrop", "white"], ["both given"]),
+        (["--backdrop", "#12"], ["--backdrop is '#12'"]),
+        (["--backdrop", "transparent", "-o", "a.gif"], ["transparent", "a.gif"]),
+        (["--target", "1,2"], ["--target is '1,2'"]),
+        (["--distance", 0], ["--distance is 0"]),
+        (["--distance", "nan"], ["--distance is nan"]),
+        (["--fov", 180], ["--fov is 180"]),
         (["--material", "phong:4"], ["--material is given"]),
     ],
 )
 def test_render_refuses(refused, folder, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
+    np.save("light.npy", np.ones((16, 3)))
     given = arguments if "-o" in arguments else [*arguments, "-o", "a.png"]
     refused(*words, arguments=["render", folder / "ball.safetensors", *given])
 

@@ -9,11 +9,12 @@ import torch
 import trimesh
 from environments import lamp, save_exr
 from PIL import Image
+from transfers import random_glossy, replaced
 
-from torchprt.preview import linear_colours
+from torchprt.preview import automatic_exposure, built_in_environment, colours, linear_colours
 from torchprt.scene import read_mesh
 from torchprt.scene.gltf import Document, pieces
-from torchprt.transfer import load
+from torchprt.transfer import load, save
 
 EPSILON = np.finfo(np.float32).eps
 
@@ -132,9 +133,91 @@ def test_exposure_and_tone_change_the_picture_and_not_the_radiance(done, shaded,
     np.testing.assert_array_equal(shaded(folder / "lamp.exr", "--exposure", "3", "--tone", "none"), radiance)
 
 
+# Each option by which a picture differs; a camera beside the model and a sun in it, so that all of it shows.
+SAME = (
+    [],
+    ["--light", "sunset"],
+    ["--light", "three-point", "--window", "none"],
+    ["--light", "sky", "--background", "--view", "-0.3,0.2,-1", "--rotate", "40"],
+    ["--light", "LAMP", "--exposure", "-1.5", "--tone", "agx"],
+    ["--light", "overcast", "--tone", "filmic", "--backdrop", "transparent"],
+    ["--light", "white", "--tone", "none", "--backdrop", "#336699"],
+    ["--target", "0.3,0.1,0", "--distance", "3.5", "--fov", "50", "--samples", "7"],
+    ["--rotate", "30,20,10", "--window", "hann"],
+)
+
+
+@pytest.mark.parametrize("options", SAME, ids=lambda options: " ".join(options) or "as it is")
+def test_shade_and_render_give_the_same_picture_byte_for_byte(done, folder, tmp_path, options):
+    given = [folder / "lamp.exr" if each == "LAMP" else each for each in options]
+    for verb in ("shade", "render"):
+        done(verb, folder / "ball.safetensors", "-o", tmp_path / f"{verb}.png", "--size", "60x44", *given)
+    assert (tmp_path / "shade.png").read_bytes() == (tmp_path / "render.png").read_bytes()
+    if options:
+        done("render", folder / "ball.safetensors", "-o", tmp_path / "plain.png", "--size", "60x44")
+        assert (tmp_path / "plain.png").read_bytes() != (tmp_path / "render.png").read_bytes()
+
+
+def test_shade_and_render_give_the_same_picture_of_gloss(done, make_transfer, tmp_path):
+    flat = make_transfer(side=4, order=4)
+    glossy = replaced(random_glossy("exit", vertices=16, glossy=9), positions=flat.positions, faces=flat.faces)
+    save(glossy, tmp_path / "a.safetensors")
+    for verb in ("shade", "render"):
+        said = done(verb, tmp_path / "a.safetensors", "-o", tmp_path / f"{verb}.png", "--size", "40x30", "--fov", 20)
+        assert "exposure" in said
+    assert (tmp_path / "shade.png").read_bytes() == (tmp_path / "render.png").read_bytes()
+
+
+def test_colours_of_a_model_are_those_of_its_picture(done, shaded, folder, tmp_path):
+    """One exposure and one tone for `.ply` and `.png`."""
+    radiance = torch.from_numpy(shaded("sunset"))
+    done("shade", folder / "ball.safetensors", "--light", "sunset", "-o", tmp_path / "a.ply")
+    stops = automatic_exposure(built_in_environment("sunset", 4).light)
+    there = trimesh.load(tmp_path / "a.ply", process=False).visual.vertex_colors[:, :3]
+    np.testing.assert_array_equal(there, colours(radiance, stops))
+
+
+def test_one_number_turns_as_a_yaw_and_two_as_yaw_and_pitch(shaded, folder):
+    for short, whole in (("90", "90,0,0"), ("20,30", "20,30,0")):
+        turned = shaded(folder / "lamp.exr", "--rotate", short)
+        np.testing.assert_array_equal(turned, shaded(folder / "lamp.exr", "--rotate", whole))
+        assert np.abs(turned - shaded(folder / "lamp.exr")).max() > 0.1
+
+
+def test_a_target_in_the_middle_of_the_picture_and_an_angle_that_holds_less(done, folder, tmp_path):
+    """The ball of radius 1, seen beside itself, nearer and farther."""
+    covered = {}
+    for name, more in (("all", []), ("far", ["--distance", 30]), ("wide", ["--fov", 90, "--distance", 3])):
+        picture = tmp_path / f"{name}.png"
+        done(
+            "render", folder / "ball.safetensors", "-o", picture, "--size", "64x64", "--backdrop", "transparent", *more
+        )
+        with PIL.Image.open(picture) as opened:
+            covered[name] = np.asarray(opened)[..., 3].mean() / 255
+    # Radius over distance over the tangent of half the angle of view, of the square of side 2.
+    assert covered["far"] == pytest.approx(math.pi / 4 / (30 * math.tan(math.radians(17.5))) ** 2, rel=0.06)
+    assert covered["wide"] == pytest.approx(math.pi / 4 * (1 / 9) / (1 - 1 / 9), rel=0.06)
+    assert 0.5 < covered["all"] < 0.8
+    beside = ["--target", "5,0,0", "--view", "0,0,1", "--distance", 8, "--fov", 90, "--backdrop", "transparent"]
+    done("render", folder / "ball.safetensors", "-o", tmp_path / "b.png", "--size", "64x64", *beside)
+    with PIL.Image.open(tmp_path / "b.png") as opened:
+        alpha = np.asarray(opened)[..., 3]
+    # 5 to the left at distance 8: 5/8 of the half picture.
+    assert (alpha.mean(0) * np.arange(64)).sum() / alpha.mean(0).sum() == pytest.approx(31.5 - 5 / 8 * 32, abs=1)
+
+
 def test_a_lit_model_reloads_elsewhere_as_it_was(done, shaded, folder, tmp_path):
     done(
-        "shade", folder / "ball.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.ply", "--tone", "none"
+        "shade",
+        folder / "ball.safetensors",
+        "--light",
+        folder / "lamp.exr",
+        "-o",
+        tmp_path / "a.ply",
+        "--tone",
+        "none",
+        "--exposure",
+        0,
     )
     there, ball = (trimesh.load(path, process=False) for path in (tmp_path / "a.ply", folder / "ball.ply"))
     np.testing.assert_array_equal(there.vertices, ball.vertices)

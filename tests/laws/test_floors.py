@@ -10,12 +10,12 @@ import torchprt
 
 PACKAGE = Path(torchprt.__file__).parent
 FLOORS = {
-    "errors": -1, "version": -1, "files": 0, "progress": 0, "checkpoint": 0, "words": 0,
+    "errors": -2, "version": -2, "suffixes": -1, "words": -1, "files": 0, "progress": 0, "checkpoint": 0,
     "sh": 1, "transfer": 1,
     "light": 2, "pose": 2, "brdf": 2, "compression": 2, "trace": 2,
     "scene": 3, "shade": 3,
     "transport": 4, "onnx": 4, "preview": 4,
-    "measure": 5, "web": 5, "demo": 5,
+    "measure": 5, "web": 5, "demo": 5, "notebook": 5,
     "cli": 6, "__main__": 7,
 }  # fmt: skip
 LEAN = {

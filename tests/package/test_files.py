@@ -1,13 +1,15 @@
 """Does a reader ever see half a file?"""
 
+import errno
 import os
 import stat
+import subprocess
 import sys
 
 import pytest
 
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable
+from torchprt.files import atomic, check_writable, no_room
 
 
 def half_write(path, fault):
@@ -81,3 +83,55 @@ def test_names_without_a_folder_are_of_the_folder_one_is_in(tmp_path, monkeypatc
     with atomic("a.npy") as temporary:
         temporary.write_text("new")
     assert (tmp_path / "a.npy").read_text() == "new"
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+
+import numpy, torch
+from safetensors.torch import save_file
+from torchprt.errors import InputError
+from torchprt.files import atomic
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+path = Path(sys.argv[1])
+writers = {
+    "numpy": lambda to: numpy.zeros(4096).tofile(to),
+    "python": lambda to: to.write_bytes(bytes(8192)),
+    "safetensors": lambda to: save_file({"a": torch.zeros(4096)}, to),
+}
+try:
+    with atomic(path) as temporary:
+        writers[sys.argv[2]](temporary)
+except InputError as fault:
+    print(fault)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
+@pytest.mark.parametrize("writer", ["numpy", "python", "safetensors"])
+def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, tmp_path):
+    path = tmp_path / "a.npy"
+    path.write_text("former")
+    command = [sys.executable, "-c", FULL, path, writer]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    # numpy does not know why it wrote less than it should.
+    reason = os.strerror(errno.ENOSPC if writer == "numpy" else errno.EFBIG)
+    assert ended.stdout == f"{path} cannot be written ({reason}): free some space, then do the same again\n"
+    assert path.read_text() == "former"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), True),
+        (RuntimeError("I/O error: No space left on device (os error 28)"), True),
+        (OSError(errno.EACCES, "Permission denied"), False),
+        (RuntimeError("Permission denied (os error 13)"), False),
+        (ValueError("28"), False),
+    ],
+)
+def test_only_a_disk_without_room_is_told_as_one(fault, told):
+    assert no_room(fault) == (os.strerror(errno.ENOSPC) if told else None)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from torchprt.words import count
+from torchprt.words import count, either
 
 
 @pytest.mark.parametrize(
@@ -18,6 +18,10 @@ from torchprt.words import count
 )
 def test_a_count_agrees_with_its_noun(number, noun, said):
     assert count(number, noun) == said
+
+
+def test_choices_are_told_as_people_do():
+    assert [either("abc"[:length]) for length in (1, 2, 3)] == ["a", "a or b", "a, b or c"]
 
 
 def test_another_plural_is_taken_as_it_is():

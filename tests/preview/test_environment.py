@@ -7,7 +7,8 @@ import torch
 
 from torchprt import light, sh
 from torchprt.errors import InputError
-from torchprt.preview import automatic_exposure, photograph, seen_along
+from torchprt.preview import automatic_exposure, built_in_environment, photograph, seen_along
+from torchprt.preview.environment import for_pixels
 from torchprt.shade import display
 
 EPS = torch.finfo(torch.float32).eps
@@ -77,8 +78,62 @@ def test_automatic_exposure_shows_lights_of_any_strength_alike(radiance):
     one = display(torch.ones(1, 3), exposure=automatic_exposure(light.constant(1.0, 3).float()), tone="none")
     # Stops of some 66 round to 1e-5 of the value.
     torch.testing.assert_close(shown, one, rtol=0, atol=1e-5)
-    assert 0.4 < float(shown.mean()) < 0.9
+    # A white surface is white.
+    assert float(shown.mean()) == pytest.approx(1, abs=1e-3)
 
 
 def test_a_black_light_is_not_exposed():
     assert automatic_exposure(torch.zeros(4, 3)) == 0.0
+
+
+# Exposure and lights that are always there
+
+
+@pytest.mark.parametrize("direction", [(0.0, 1.0, 0.0), (0.3, -0.4, 0.8), (-1.0, 0.2, 0.1)])
+@pytest.mark.parametrize("order", [2, 5, 8])
+def test_a_white_surface_that_faces_the_only_lamp_is_white(direction, order):
+    """`directional` reads its radiance on a surface that faces it; above order 5 the exposure looks at 5 bands."""
+    lamp = light.directional(direction, 3.0, order=min(order, 5)).float()
+    lamp = torch.cat([lamp, torch.zeros(order**2 - len(lamp), 3)])
+    # Directions of the meter are 7.5 degrees apart: the nearest is within 5.3, whose cosine is .9957.
+    assert automatic_exposure(lamp) == pytest.approx(-math.log2(3.0), abs=0.015)
+
+
+def test_exposure_does_not_follow_a_light_that_turns():
+    lamp = light.project(light.studio(64), 5)
+    stops = [
+        automatic_exposure(sh.rotate(lamp, sh.yaw_pitch_roll(torch.tensor([yaw, 17.0, 5.0]))))
+        for yaw in (0.0, 33.0, 120.0, 250.0)
+    ]
+    assert max(stops) - min(stops) < 0.02
+
+
+@pytest.mark.parametrize("name", light.BUILT_IN)
+def test_a_light_that_is_always_there_does_not_ring_unless_asked_to(name):
+    directions, _ = sh.fibonacci(1000)
+    found, bare = built_in_environment(name, 5), built_in_environment(name, 5, "none")
+    assert found.image.shape == (256, 512, 3)
+    assert float(sh.evaluate(found.light.double(), directions).min()) > -1e-4 * float(found.light.abs().max())
+    torch.testing.assert_close(bare.light, light.project(bare.image, 5))
+
+
+# What pixels show of a map
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 5.0])
+def test_a_map_for_pixels_keeps_its_light(factor):
+    image = torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))
+    made = for_pixels(image, math.pi / 32 / factor)
+    assert made.shape[1] == 2 * made.shape[0]
+    assert made.shape[0] == (10 if factor == 0.3 else 32)
+    # Averages of averages; the poles are repeated where it is smoothed.
+    torch.testing.assert_close(made.mean((0, 1)), image.mean((0, 1)), rtol=0, atol=0.03)
+    assert torch.equal(made, image) == (factor == 1.0)
+
+
+def test_a_map_that_is_smoothed_closes_across_the_seam():
+    image = torch.zeros(16, 32, 3)
+    image[8, 0] = 1.0
+    made = for_pixels(image, math.pi / 1000)
+    torch.testing.assert_close(made[8, 1], made[8, -1])
+    assert float(made[8, -1].min()) > 0.05

@@ -1,6 +1,7 @@
 """Does a still show the radiance that was given, where it is and on the side that it is on?"""
 
 import itertools
+import math
 
 import numpy as np
 import PIL.Image
@@ -10,6 +11,8 @@ from shapes import square
 
 from torchprt.errors import InputError
 from torchprt.preview import Camera, Still, save_png, sheet
+from torchprt.shade import srgb, tone_mapped
+from torchprt.shade.display import linear
 
 TRIANGLE = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.5, 0.0]])
 FACE = torch.tensor([[0, 1, 2]])
@@ -125,13 +128,94 @@ def test_two_copies_of_a_two_sided_face_still_show_both_sides():
             assert seen.min() == 0.5
 
 
-def test_samples_average_the_pixels_of_a_finer_picture():
+@pytest.mark.parametrize("samples", [1, 3, 4, 7])
+def test_a_pixel_is_the_mean_of_its_rays(samples):
     colours = torch.rand(3, 3, generator=torch.Generator().manual_seed(1))
-    fine = Still(TRIANGLE, FACE, size=(36, 24), camera=FRONT, samples=1).radiance(colours)
-    coarse = Still(TRIANGLE, FACE, size=(12, 8), camera=FRONT, samples=3).radiance(colours)
-    # A mean of nine numbers below 1.
-    expected = fine.view(8, 3, 12, 3, 3).mean((1, 3))
-    torch.testing.assert_close(coarse, expected, atol=9 * torch.finfo(torch.float32).eps, rtol=0)
+    still = Still(TRIANGLE, FACE, size=(24, 16), camera=FRONT, samples=samples)
+    rays = still.directions()
+    assert rays.shape == (16, 24, samples, 3)
+    eye = torch.tensor(FRONT.eye, dtype=torch.float64)
+    weights = barycentric(eye - rays * (eye[2] / rays[..., 2:]), TRIANGLE)
+    inside = weights.amin(-1) > 0
+    expected = torch.where(inside[..., None], weights @ colours.double(), 0.25).mean(2).float()
+    clear = (weights.amin(-1).abs() > 1e-4).all(-1)
+    assert clear.sum() > 300
+    # Embree works in float32 on a triangle of size 1 seen from 5.
+    close = {"atol": 20 * 5 * torch.finfo(torch.float32).eps, "rtol": 0}
+    torch.testing.assert_close(still.radiance(colours, 0.25)[clear], expected[clear], **close)
+    share = inside.double().mean(-1).float()
+    torch.testing.assert_close(still.coverage[clear], share[clear], **close)
+
+
+@pytest.mark.parametrize("samples", [4, 5, 9, 16])
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_edge_along_the_pixels_has_as_many_steps_as_there_are_samples(samples, turned):
+    """A grid of 2 x 2 would know only 0, a half and 1 of a pixel."""
+    for place in torch.linspace(-0.4, 0.4, 23).tolist():
+        corners = torch.tensor([[place, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [place, 9.0, 0.0]])
+        corners = corners[:, [1, 0, 2]] if turned else corners
+        faces = torch.tensor([[0, 1, 2], [0, 2, 3]])
+        still = Still(corners, faces.flip(1) if turned else faces, size=(8, 8), camera=FRONT, samples=samples)
+        across = still.coverage[4] if not turned else still.coverage[:, 4].flip(0)
+        # The half width of the picture is 5 tan 20 degrees: what it covers of the row, in pixels.
+        exact = 4 - place / (5 * math.tan(math.radians(20))) * 4
+        assert abs(float(across.sum()) - exact) <= 0.5 / samples + 1e-3
+
+
+def test_what_is_half_transparent_shows_half_of_what_is_behind():
+    half = torch.full((3,), 0.5)
+    still = Still(TRIANGLE, FACE, size=(24, 24), camera=FRONT, samples=1, opacity=half)
+    picture = still.picture(torch.full((3, 3), 0.4), tone="none", background=0.2)
+    torch.testing.assert_close(picture[12, 12], srgb(torch.full((3,), 0.3)), atol=1e-6, rtol=0)
+    assert float(still.coverage[12, 12]) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_what_is_transparent_adds_nothing_to_its_neighbours():
+    still = Still(*(TRIANGLE, FACE), size=(24, 24), camera=FRONT, samples=1, opacity=torch.tensor([1.0, 1.0, 0.0]))
+    # However bright the transparent corner is, toward it the picture goes to what is behind.
+    picture = still.picture(torch.full((3, 3), 0.4), tone="none", background=0.0)
+    rows = picture[:, 12, 0][still.coverage[:, 12] > 0]
+    assert (rows.diff() > 0).all()
+    assert rows[0] < rows[-1] / 2
+
+
+def test_an_edge_before_the_dark_of_a_bright_model_is_as_soft_as_any():
+    """Mixed before the tone map, a radiance of 1000 would fill every pixel that it touches."""
+    still = Still(TRIANGLE, FACE, size=(40, 40), camera=FRONT, samples=16)
+    picture = still.picture(torch.full((3, 3), 1000.0), background=0.0)
+    edge = (still.coverage > 0) & (still.coverage < 1)
+    assert edge.sum() > 20
+    white = float(tone_mapped(torch.full((3,), 1000.0)).mean())
+    wanted = srgb(white * still.coverage[..., None].expand(-1, -1, 3))
+    torch.testing.assert_close(picture, wanted, atol=1e-5, rtol=0)
+
+
+def test_a_cutout_before_a_colour_is_the_picture_before_it():
+    colours = torch.rand(3, 3, generator=torch.Generator().manual_seed(3))
+    still = Still(TRIANGLE, FACE, size=(24, 24), camera=FRONT)
+    cutout, picture = still.cutout(colours), still.picture(colours, background=0.6)
+    assert cutout.shape == (24, 24, 4)
+    opaque = cutout[..., 3:]
+    mixed = srgb(linear(cutout[..., :3]) * opaque + 0.6 * (1 - opaque))
+    torch.testing.assert_close(mixed, picture, atol=1e-5, rtol=0)
+
+
+def test_a_model_out_of_sight_leaves_the_background():
+    away = Camera((0.0, 0.0, 5.0), (0.0, 0.0, 10.0))
+    still = Still(TRIANGLE, FACE, size=(6, 4), camera=away)
+    assert torch.equal(still.radiance(torch.ones(3, 3), 2.0), torch.full((4, 6, 3), 2.0))
+    assert torch.equal(still.cutout(torch.ones(3, 3)), torch.zeros(4, 6, 4))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 48), (30, 90)])
+def test_the_plain_background_is_lightest_behind_the_model_and_has_no_edge(size):
+    plain = srgb(Still(TRIANGLE, FACE, size=size, camera=FRONT, samples=1).plain())
+    height, width, _ = plain.shape
+    assert float(plain[height // 2, width // 2].min()) >= float(plain[0, 0].min())
+    if size != (1, 1):
+        assert float(plain[0, 0].mean()) < 0.6 * float(plain[height // 2, width // 2].mean())
+        assert float(plain.diff(dim=0).abs().max()) < 0.03
+        assert float(plain.diff(dim=1).abs().max()) < 0.03
 
 
 def test_exposure_lights_the_model_and_not_the_background():
@@ -162,6 +246,14 @@ def test_png_holds_the_picture_and_replaces_a_former_one_whole(tmp_path):
         assert opened.size == (9, 5)
     np.testing.assert_array_equal(values, (picture.clamp(0, 1) * 255).round().numpy().astype(np.uint8))
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_a_png_keeps_what_is_transparent(tmp_path):
+    picture = torch.rand(5, 9, 4, generator=torch.Generator().manual_seed(0))
+    save_png(picture, tmp_path / "a.png")
+    with PIL.Image.open(tmp_path / "a.png") as opened:
+        assert opened.mode == "RGBA"
+        np.testing.assert_array_equal(np.asarray(opened), (picture * 255).round().numpy().astype(np.uint8))
 
 
 def test_a_png_that_cannot_be_written_leaves_nothing(tmp_path):

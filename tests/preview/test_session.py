@@ -1,6 +1,7 @@
 """Does a preview show what its state says, and is every change to it the one that was asked for?"""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from torchprt.compression import compress, decompress, fit
 from torchprt.errors import InputError
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
-from torchprt.preview.session import BACKDROPS, LOBE, MODES, WINDOWS, windowed
+from torchprt.preview.session import BACKDROPS, LOBE, MODES, PLAIN, WINDOWS, windowed
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import display, shader
 from torchprt.transport import bake
@@ -164,16 +165,31 @@ def test_the_ways_without_transfer_see_no_shadow(session):
     assert float(ground.std(0).min()) > 0.01
 
 
-def test_the_five_modes_are_five_pictures(session):
+def test_the_modes_are_pictures_of_their_own(session):
     pictures = [session.colours()]
     for mode in MODES[1:]:
         assert session.next_mode().startswith(f"mode: {mode}")
         pictures.append(session.colours())
-    for one in range(5):
+    for one in range(len(MODES)):
         for other in range(one):
             assert not torch.allclose(pictures[one], pictures[other], atol=1e-6, rtol=0)
     assert session.next_mode() == "mode: transfer"
     close(session.colours(), pictures[0])
+
+
+def test_the_map_of_sight_is_told_in_words(shadowed, bounced):
+    sight = torch.zeros(bounced.vertices, dtype=torch.uint8)
+    sight[3] = 4
+    marked = replace(bounced, receivers=replace(bounced.receivers, sight=sight))
+    session = Session({"bounced": marked, "shadowed": shadowed}, environments())
+    assert session.set_mode("sight") == "mode: sight"
+    red, grey = session.colours()[3], session.colours()[4]
+    assert red[0] > 2 * red[1]
+    assert float(grey.std()) < 0.05
+    assert session.status()[-1] == "red: 1 vertex, lit not at all, and dark"
+    session.next_bake()
+    assert "no vertex is marked" in session.status()[-1]
+    torch.testing.assert_close(session.colours()[3], grey, atol=0.2, rtol=0)
 
 
 def test_compressed_is_the_file_that_was_given(shadowed):
@@ -416,3 +432,20 @@ def test_given_poses_come_one_after_the_other():
 def test_refuses_poses_of_another_mesh(poses, words):
     with pytest.raises(InputError, match=words):
         Session({"lobes": random_zonal(side=4, order=ORDER)}, environments(), poses=poses)
+
+
+def test_a_ground_is_not_framed_and_becomes_the_plain_background_at_its_edge(scene):
+    plain, stood = (bake(each, order=ORDER, shadows=False) for each in (scene, scene.on_ground(albedo=0.9)))
+    alone, session = Session({"plain": plain}, environments()), Session({"stood": stood}, environments())
+    assert session.orbit == alone.orbit
+    assert session.radius == alone.radius
+    model = plain.vertices
+    assert torch.allclose(session.colours()[:model], alone.colours(), atol=1e-5)
+    ground = stood.positions[model:]
+    far = (ground - ground.mean(0)).norm(dim=-1)
+    rim = far > 0.999 * far.max()
+    assert (session.colours()[model:][rim] - PLAIN).abs().max() < 1e-5
+    # Before an environment that would be wrong.
+    session.next_backdrop()
+    assert (session.colours()[model:][rim] - PLAIN).abs().min() > 0.05
+    assert torch.allclose(session.colours()[:model], alone.colours(), atol=1e-5)

@@ -155,7 +155,7 @@ def test_modes_are_different_pictures_of_one_shape(window):
 def test_keys_change_light_order_window_and_bounces(window):
     first = window.settled()
     for key, line, undo in (
-        ("Right", "environment: right.exr", ["Left"]),
+        ("Right", "environment: right", ["Left"]),
         ("minus", "order: 3", ["equal"]),
         ("w", "window: hann", ["w", "w", "w", "w"]),
         ("i", "bake: bounced, interreflected, 1 bounce", ["i"]),

@@ -1,7 +1,6 @@
 """Does a material refuse to create light, and does text say the material that it names?"""
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from torchprt.scene.energy import reflected
 CORNERS, SIDE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 TRIANGLE = make_mesh(CORNERS, SIDE, name="triangle")
 PAINTED = make_mesh(CORNERS, SIDE, colours=torch.eye(3), name="painted")
-
-needs_toml = pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib came with Python 3.11")
 
 
 # Misuse
@@ -187,7 +184,6 @@ def toml(tmp_path):
     return write
 
 
-@needs_toml
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -222,7 +218,6 @@ def test_a_file_at_fault_is_named_with_the_key(toml, text, words):
         assert word in message
 
 
-@needs_toml
 def test_a_file_that_is_missing_is_named(tmp_path):
     with pytest.raises(InputError, match=r"none\.toml does not exist"):
         read_material(tmp_path / "none.toml")
@@ -234,7 +229,6 @@ def test_a_file_that_is_missing_is_named(tmp_path):
         read_material(str(tmp_path / "bytes.toml"))
 
 
-@needs_toml
 def test_a_file_says_all_of_a_material(toml):
     material = read_material(
         toml("albedo = [0.3, 0.1, 0.05]\nspecular = 0.5\ntranslucency = 0.25\ntwo_sided = true\ngloss = 'ggx:0.3,0.04'")
@@ -246,14 +240,12 @@ def test_a_file_says_all_of_a_material(toml):
     assert read_material(toml("")).albedo == 0.5
 
 
-@needs_toml
 def test_a_gloss_is_text_or_a_table(toml):
     table = read_material(toml("[gloss]\nmodel = 'ggx'\nroughness = 0.3\nf0 = 0.04"))
     assert table.brdf == read_material(toml("gloss = 'ggx:0.3,0.04'")).brdf == brdf.GGX(0.3, 0.04)
     assert read_material(toml("[gloss]\nmodel = 'ggx'\nroughness = 0.3")).brdf == brdf.GGX(0.3)
 
 
-@needs_toml
 def test_a_measured_gloss_lies_beside_its_file(toml, tmp_path):
     values = np.full((3, 4, 5), 0.5 / np.pi, dtype=np.float32)
     np.save(tmp_path / "paint.npy", values)
@@ -263,7 +255,6 @@ def test_a_measured_gloss_lies_beside_its_file(toml, tmp_path):
     assert "paint.npy" in str(load(TRIANGLE, material=material))
 
 
-@needs_toml
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -284,7 +275,6 @@ def test_a_measured_gloss_at_fault_is_named(toml, tmp_path, values, words):
         read_material(toml("tabulated = 'paint.npy'"))
 
 
-@needs_toml
 def test_a_measured_gloss_that_is_missing_is_named(toml):
     with pytest.raises(InputError, match=r"none\.npy as tabulated, which does not exist"):
         read_material(toml("tabulated = 'none.npy'"))

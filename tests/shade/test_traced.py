@@ -7,6 +7,7 @@ from transfers import KINDS, random_glossy
 from torchprt.brdf import Lambert
 from torchprt.sh import yaw_pitch_roll
 from torchprt.shade import EnvironmentShader, shader
+from torchprt.shade.display import TONES
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -19,8 +20,9 @@ def test_a_shader_compiles_as_one_graph(make_transfer, untyped, channels):
     assert torch.allclose(compiled(light), module(light), rtol=1e-5, atol=1e-6)
 
 
-def test_the_graph_from_cube_map_to_picture_compiles_as_one_graph(make_transfer, untyped):
-    module = EnvironmentShader(shader(make_transfer(order=3)), 4, tone="filmic")
+@pytest.mark.parametrize("tone", TONES)
+def test_the_graph_from_cube_map_to_picture_compiles_as_one_graph(make_transfer, untyped, tone):
+    module = EnvironmentShader(shader(make_transfer(order=3)), 4, tone=tone)
     environment = torch.rand(2, 6, 4, 4, 3, generator=torch.Generator().manual_seed(0))
     rotation = yaw_pitch_roll(torch.tensor([[0.0, 0.0, 0.0], [40.0, 50.0, 60.0]]))
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")

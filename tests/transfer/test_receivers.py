@@ -168,3 +168,69 @@ def test_half_precision_halves_the_bytes_of_a_map_and_is_accepted(tmp_path, dtyp
     assert half.bytes * 2 == patch.bytes
     save(half, tmp_path / "map.safetensors")
     assert load(tmp_path / "map.safetensors").layers["diffuse"].signal.axis.dtype == dtype
+
+
+# Of which objects they are
+
+
+def of_objects(*ranges, **changes):
+    objects = [{"name": name, "role": role, "side": "front", "rows": list(rows)} for name, role, rows in ranges]
+    return vertices(objects=objects, **changes)
+
+
+@pytest.mark.parametrize(
+    "objects",
+    [
+        [{"name": "a", "role": "receiver", "side": "front"}],
+        [{"name": "a", "role": "receiver", "side": "front", "rows": [3, 2]}],
+        [{"name": "a", "role": "receiver", "side": "front", "rows": [-1, 2]}],
+        [{"name": "a", "role": "receiver", "side": "front", "rows": [0, 26]}],
+    ],
+)
+def test_refuses_objects_of_rows_that_there_are_not(objects):
+    with pytest.raises(InputError, match="objects of the transfer"):
+        vertices(objects=objects).check()
+
+
+def test_vertices_of_unknown_objects_are_no_ground():
+    assert not vertices().ground().any()
+    assert "objects" not in vertices().metadata()
+    assert torch.equal(vertices().subject, vertices().positions)
+
+
+def test_ground_is_found_in_the_order_of_the_mesh_and_in_any_other():
+    positions = torch.arange(75.0).view(25, 3)
+    plain = of_objects(("a", "receiver", (0, 9)), ("ground", "ground", (9, 25)), positions=positions)
+    assert torch.equal(plain.ground(), torch.arange(25) >= 9)
+    order = torch.randperm(25, generator=torch.Generator().manual_seed(1))
+    mixed = plain.replace(positions=positions[order], original=order)
+    assert torch.equal(mixed.ground(), order >= 9)
+    assert torch.equal(mixed.subject.sort(0).values, positions[:9])
+
+
+def test_some_are_taken_with_the_faces_between_them_in_the_order_that_they_have():
+    positions = torch.arange(75.0).view(25, 3)
+    faces = torch.tensor([[0, 1, 2], [7, 8, 9], [10, 11, 12]])
+    plain = of_objects(("a", "receiver", (0, 9)), ("g", "ground", (9, 20)), ("b", "receiver", (20, 25)), faces=faces)
+    plain = plain.replace(positions=positions)
+    left = plain.take((~plain.ground()).nonzero()[:, 0])
+    left.check()
+    assert torch.equal(left.positions, positions[[*range(9), *range(20, 25)]])
+    assert left.faces.tolist() == [[0, 1, 2]]
+    assert [(each["name"], each["rows"]) for each in left.objects] == [("a", [0, 9]), ("b", [9, 14])]
+    order = torch.randperm(25, generator=torch.Generator().manual_seed(1))
+    place = order.argsort()
+    mixed = plain.replace(positions=positions[order], faces=place[faces], original=order)
+    again = mixed.take((~mixed.ground()).nonzero()[:, 0])
+    again.check()
+    assert again.objects == left.objects
+    values = again.in_mesh_order(again.positions)
+    assert torch.equal(values, left.positions)
+
+
+def test_objects_are_read_as_they_were_written(make_transfer, tmp_path):
+    transfer = make_transfer(side=5)
+    known = of_objects(("a", "receiver", (0, 20)), ("ground", "ground", (20, 25)))
+    known = transfer.receivers.replace(objects=known.objects)
+    save(dataclasses.replace(transfer, receivers=known), tmp_path / "a.safetensors")
+    assert load(tmp_path / "a.safetensors").receivers.objects == known.objects

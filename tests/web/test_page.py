@@ -1,5 +1,6 @@
 """Does the page, in a real browser and under a real mouse, show what ONNX Runtime in Python computes?"""
 
+import gzip
 import json
 import shutil
 
@@ -18,6 +19,8 @@ from torchprt.shade import shader
 
 # A few products of 16 or 25 numbers in float32, added in another order.
 CLOSE = 32 * np.finfo(np.float32).eps
+# As many numbers of 16 bits, each off by half a step at most.
+PACKED = 16 * 0.5 / 65535
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +41,13 @@ def in_python(folder, name, rotation, *, eye=None, environment=0):
     feed = {"light": light[None], "rotation": np.array(rotation, np.float32).reshape(1, 3, 3)}
     if eye is not None:
         feed["eye"] = np.array(eye, np.float32)[None]
-    return onnxruntime.InferenceSession(folder / name).run(["radiance"], feed)[0][0]
+    content = gzip.decompress((folder / f"{name}.gz").read_bytes())
+    return onnxruntime.InferenceSession(content).run(["radiance"], feed)[0][0]
 
 
-def near(values, expected):
+def near(values, expected, close=CLOSE):
     expected = np.asarray(expected)
-    np.testing.assert_allclose(np.asarray(values).reshape(-1, 3), expected, rtol=0, atol=CLOSE * np.abs(expected).max())
+    np.testing.assert_allclose(np.asarray(values).reshape(-1, 3), expected, rtol=0, atol=close * np.abs(expected).max())
 
 
 def test_it_loads_from_a_subfolder_of_any_server_and_asks_nothing_of_others(visit, address):
@@ -52,7 +56,7 @@ def test_it_loads_from_a_subfolder_of_any_server_and_asks_nothing_of_others(visi
     assert tab.complaints == []
     files = {url.removeprefix(f"{address}/plane/") for url in tab.requests if not url.startswith(("data:", "blob:"))}
     assert not [name for name in files if "://" in name]
-    assert {"", "scene.json", "model.onnx", "compressed.onnx", "mesh.glb", "environments/0.jpg"} <= files
+    assert {"", "scene.json", "model.onnx.gz", "compressed.onnx.gz", "mesh.glb", "environments/0.jpg"} <= files
     assert tab.page.title() == "A plane"
     assert not tab.page.is_visible("#message")
 
@@ -122,11 +126,11 @@ def test_one_finger_turns_the_camera_and_two_turn_the_light_and_zoom(plane_tab):
 
 def test_radiance_is_that_of_onnx_runtime_in_python(plane_tab, pages):
     for right, down, number in ((0, 0, 0), (200, 0, 2), (-70, 110, 3)):
-        plane_tab.page.click(f"#environments button:nth-child({number + 1})")
+        plane_tab.page.click(f"#environments label:nth-child({number + 1})")
         plane_tab.drag(right, down, button="right")
         rotation = plane_tab.ask("return it.rotation;")
         near(plane_tab.radiance(), in_python(pages / "plane", "model.onnx", rotation, environment=number))
-    plane_tab.page.click("#modes button[data-value=compressed]")
+    plane_tab.page.click("#modes input[value=compressed]")
     rotation = plane_tab.ask("return it.rotation;")
     near(plane_tab.radiance(), in_python(pages / "plane", "compressed.onnx", rotation, environment=3))
 
@@ -150,7 +154,7 @@ def test_webgpu_computes_the_same(launch, address, pages):
     values = tab.ask("""
         await it.raced;
         const { Model } = await import("./runtime.js");
-        const model = await Model.openOnGpu("model.onnx");
+        const model = await Model.openOnGpu("model.onnx.gz");
         return model && Array.from(await model.shade(it.light.coefficients, it.rotation, [0, 0, 0]));
     """)
     if values is None:
@@ -203,9 +207,9 @@ def test_modes_without_transfer_are_those_of_the_window(plane_tab, plane):
     light = torch.tensor(plane_tab.ask("return Array.from(it.light.coefficients);"), dtype=torch.float64).reshape(-1, 3)
     turned, normals = sh.rotate(light, rotation), plane.normals.double()
     for mode, function in (("unshadowed", unshadowed), ("lambert", one_lamp)):
-        plane_tab.page.click(f"#modes button[data-value={mode}]")
-        near(plane_tab.radiance(), (plane.albedo * function(turned, normals)).numpy())
-    plane_tab.page.click("#modes button[data-value=transfer]")
+        plane_tab.page.click(f"#modes input[value={mode}]")
+        near(plane_tab.radiance(), (plane.albedo * function(turned, normals)).numpy(), PACKED)
+    plane_tab.page.click("#modes input[value=transfer]")
     assert (
         np.abs(np.reshape(plane_tab.radiance(), (-1, 3)) - (plane.albedo * unshadowed(turned, normals)).numpy()).max()
         > 0.01
@@ -233,7 +237,7 @@ def test_its_basis_and_irradiance_are_ours(plane_tab, order):
 
 
 def test_the_difference_is_that_of_the_two_and_its_figure_is_shown(plane_tab, pages):
-    plane_tab.page.click("#modes button[data-value=difference]")
+    plane_tab.page.click("#modes input[value=difference]")
     plane_tab.settled()
     full, packed = (in_python(pages / "plane", name, np.eye(3)) for name in ("model.onnx", "compressed.onnx"))
     relative = np.sqrt(np.square(packed - full).sum() / np.square(full).sum())
@@ -251,7 +255,7 @@ def test_bands_and_exposure_do_what_their_sliders_say(plane_tab, plane):
     for order in (1, 3):
         plane_tab.page.locator("#order").fill(str(order))
         light_below = torch.where((torch.arange(16) < order**2)[:, None], light, 0.0)
-        near(plane_tab.radiance(), shader(plane)(light_below).numpy())
+        near(plane_tab.radiance(), shader(plane)(light_below).numpy(), PACKED)
     bright = plane_tab.ask("return it.exposure;")
     plane_tab.page.locator("#exposure").fill("1.5")
     assert plane_tab.ask("return it.exposure;") == pytest.approx(bright + 1.5)
@@ -272,30 +276,117 @@ def damaged(pages, tmp_path):
     return damaged
 
 
+MISSING, DAMAGED = "A file is missing on the server", "A file of this page is damaged"
+
+
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "title", "words"),
     [
-        ("model.onnx", b"\x08\x07 no graph", "ONNX Runtime cannot read model.onnx"),
-        ("model.onnx", b"", "ONNX Runtime cannot read model.onnx"),
-        ("model.onnx", None, "model.onnx could not be loaded (404"),
-        ("mesh.glb", b"glTF", "mesh.glb could not be read as a mesh"),
-        ("mesh.glb", None, "mesh.glb could not be read as a mesh"),
-        ("scene.json", None, "scene.json could not be loaded (404"),
-        ("environments/1.jpg", None, "environments/1.jpg could not be loaded"),
-        ("libraries/ort.wasm.wasm.gz", b"\x1f\x8b\x08", "ort.wasm.wasm.gz is damaged"),
-        ("libraries/three.core.min.js", None, "app.js, or a module that it imports, could not be loaded"),
-        ("app.js", b"import {", "app.js"),
+        ("model.onnx.gz", b"\x08\x07 no graph", "The model cannot be run", "ONNX Runtime cannot read model.onnx.gz"),
+        ("model.onnx.gz", b"", "The model cannot be run", "ONNX Runtime cannot read model.onnx.gz"),
+        ("model.onnx.gz", b"\x1f\x8b\x08", DAMAGED, "model.onnx.gz is damaged"),
+        ("model.onnx.gz", None, MISSING, "model.onnx.gz could not be loaded (404"),
+        ("mesh.glb", b"glTF", DAMAGED, "mesh.glb could not be read as a mesh"),
+        ("mesh.glb", None, MISSING, "mesh.glb could not be loaded (404"),
+        ("scene.json", None, MISSING, "scene.json could not be loaded (404"),
+        ("scene.json", b"{", DAMAGED, "scene.json is no JSON"),
+        ("environments/1.jpg", None, MISSING, "environments/1.jpg could not be loaded (404"),
+        ("environments/1.jpg", b"no picture", DAMAGED, "environments/1.jpg is no picture"),
+        ("libraries/ort.wasm.wasm.gz", b"\x1f\x8b\x08", DAMAGED, "ort.wasm.wasm.gz is damaged"),
+        ("libraries/ort.wasm.bundle.min.mjs", None, "A file could not be loaded", "ort.wasm.bundle.min.mjs"),
+        ("libraries/three.core.min.js", None, "This page is not complete", "app.js, or a module that it imports"),
+        ("app.js", b"import {", "This page is not complete", "app.js"),
     ],
 )
-def test_a_page_with_a_broken_file_says_which_and_what_to_do(visit, damaged, name, content, words):
+def test_a_page_with_a_broken_file_says_which_and_what_to_do(visit, damaged, name, content, title, words):
     with at(damaged(name, content)) as root:
         tab = visit()
         tab.page.goto(f"{root}/page/")
         tab.page.wait_for_selector("#message:not([hidden])", timeout=20_000)
         said = tab.page.inner_text("#message")
+    assert said.startswith(title)
     assert words in said
     assert "torchprt export --web" in said
     assert not tab.page.is_visible("#loading")
+    assert not tab.page.is_visible("#controls")
+
+
+WITHOUT = {
+    "WebGL": "HTMLCanvasElement.prototype.getContext = () => null;",
+    "WebAssembly": "delete window.WebAssembly;",
+    "SIMD": "WebAssembly.validate = () => false;",
+    "gzip": "delete window.DecompressionStream;",
+    "import maps": "HTMLScriptElement.supports = undefined;",
+}
+
+
+@pytest.mark.parametrize(
+    ("lacks", "title"),
+    [
+        ("WebGL", "This browser shows no WebGL 2"),
+        ("WebAssembly", "This browser runs no WebAssembly"),
+        ("SIMD", "This browser is too old"),
+        ("gzip", "This browser is too old"),
+        ("import maps", "This browser is too old"),
+    ],
+)
+def test_a_browser_that_lacks_something_is_to_be_changed_and_the_page_is_not(visit, address, lacks, title):
+    tab = visit()
+    tab.page.add_init_script(WITHOUT[lacks])
+    tab.page.goto(f"{address}/plane/")
+    tab.page.wait_for_selector("#message:not([hidden])", timeout=20_000)
+    said = tab.page.inner_text("#message")
+    assert said.startswith(title)
+    assert "Use a current Firefox, Chrome, Edge or Safari" in said
+    assert "torchprt" not in said
+
+
+def test_the_check_for_simd_lets_a_browser_pass_that_has_it(visit, address):
+    """The bytes are a module: one that is not would turn every browser away."""
+    tab = visit().open(f"{address}/plane/")
+    tab.ask('(await import("./faults.js")).checkBrowser();')
+
+
+@pytest.mark.parametrize(
+    ("status", "title", "words"),
+    [
+        (403, "The server does not give out a file", "permissions"),
+        (503, "The server has failed", "in a while"),
+        (None, "The server does not answer", "connection"),
+    ],
+)
+def test_what_the_server_answers_is_told_apart(visit, address, status, title, words):
+    tab = visit()
+    answer = (lambda route: route.abort()) if status is None else (lambda route: route.fulfill(status=status, body=""))
+    tab.page.route("**/mesh.glb", answer)
+    tab.page.goto(f"{address}/plane/")
+    tab.page.wait_for_selector("#message:not([hidden])", timeout=20_000)
+    said = tab.page.inner_text("#message")
+    assert said.startswith(title)
+    assert words in said
+    assert "torchprt export" not in said
+
+
+def test_too_little_memory_is_no_damage(visit, address):
+    tab = visit()
+    tab.page.add_init_script(
+        "Response.prototype.arrayBuffer = () => Promise.reject(new RangeError('Array buffer allocation failed'));"
+    )
+    tab.page.goto(f"{address}/plane/")
+    tab.page.wait_for_selector("#message:not([hidden])", timeout=20_000)
+    said = tab.page.inner_text("#message")
+    assert said.startswith("There is not enough memory for this model")
+    assert "torchprt compress" in said
+
+
+def test_without_scripts_it_says_so(browser, address):
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(f"{address}/plane/")
+    assert "This page needs JavaScript" in page.inner_text("main")
+    assert not page.is_visible("#loading")
+    assert not page.is_visible("#controls")
+    context.close()
 
 
 def test_a_model_of_another_mesh_is_refused(visit, pages, tmp_path):

@@ -42,7 +42,7 @@ class Source:
             raise InputError(f"{files[0]} is a bake, and {files[1]} is given beside it: give one bake, or meshes alone")
         given = {**given, "material": None, "bake": self._keep}
         for name, value in given.items():
-            if value is not None and value is not False and value != []:
+            if value is not None and value != []:
                 option = "--" + name.replace("_", "-")
                 raise InputError(f"{option} is given, but {files[0]} is baked already: leave it out, or give the mesh")
         self.made = load(files[0])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+import os
 import sys
 import warnings
 from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 
 from torchprt.cli.bake import bake
 from torchprt.cli.bake_options import GroundCommand
+from torchprt.cli.completion import completed
 from torchprt.cli.compress import compress
 from torchprt.cli.demo import demo
 from torchprt.cli.export import export
@@ -20,10 +25,12 @@ from torchprt.cli.light import light
 from torchprt.cli.patch import patch
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
-from torchprt.cli.report import complain
+from torchprt.cli.report import answer, complain
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
 from torchprt.errors import InputError
+from torchprt.progress import QUIET, quiet
+from torchprt.version import VERSION
 
 # In the order of `torchprt --help`.
 VERBS: tuple[Callable[..., None], ...] = (
@@ -42,16 +49,64 @@ VERBS: tuple[Callable[..., None], ...] = (
     demo,
 )
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(asked: bool | None) -> None:
+    if asked:
+        answer(f"torchprt {VERSION}")
+        raise typer.Exit
+
+
+@app.callback(help="Precomputed radiance transfer: bake meshes once, light them in real time, export them.")
+def _options(
+    version: Annotated[
+        bool | None, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = None,
+) -> None: ...
+
+
+Quiet = Annotated[
+    bool,
+    typer.Option("-q", "--quiet", help=f"Tell nothing but faults; as the environment variable {QUIET}=1."),
+]
+
+
+def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
+    """A verb with the options that all have, whose words Tab completes."""
+
+    @functools.wraps(verb)
+    def run(*arguments: Any, quiet: bool, **options: Any) -> None:
+        before = os.environ.get(QUIET)
+        if quiet:
+            # A variable, because it also holds for workers.
+            os.environ[QUIET] = "1"
+        try:
+            verb(*arguments, **options)
+        finally:
+            if quiet:
+                os.environ.pop(QUIET)
+                os.environ.update({} if before is None else {QUIET: before})
+
+    signature = completed(verb)
+    common = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Quiet)
+    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), common])  # type: ignore[attr-defined]
+    return run
+
+
 for verb in VERBS:
-    app.command(cls=GroundCommand)(verb)
+    app.command(cls=GroundCommand)(_with_common_options(verb))
 
 
 def main() -> None:
     """Runs the command. Faults of the input are one sentence on standard error and exit code 2."""
     with warnings.catch_warnings():
         # Without the file and the line of the code that warns.
-        warnings.showwarning = lambda message, *_, **__: complain(message)
+        warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
         try:
             app()
         except InputError as fault:

@@ -12,6 +12,7 @@ import typer
 
 from torchprt.cli import options
 from torchprt.cli.environments import light_of
+from torchprt.cli.one_bar import OneBar
 from torchprt.cli.report import complain, describe, details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from torchprt.transfer import Transfer
 
-METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
 
 
@@ -64,7 +64,7 @@ def compress(
     from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
-    chosen = options.choice(method, "--method", METHODS)
+    chosen = options.choice(method, "--method", options.METHODS)
     target = None if error is None else fraction(error, "--error")
     size = None if bytes is None else byte_count(bytes, "--bytes")
     added = fraction(coherence, "--coherence")
@@ -73,7 +73,8 @@ def compress(
     partial = output.with_name(output.name + ".partial")
     start = time.perf_counter()
     try:
-        with Bar() as bar:
+        with Bar(rates=False) as bar:
+            told = OneBar(bar, "compress", searching=target is not None or size is not None)
             packed = room.compress(
                 loaded,
                 layer=layer,
@@ -87,10 +88,11 @@ def compress(
                 coherence=added,
                 importance=weight,
                 seed=seed,
-                report=bar,
+                report=told,
                 checkpoint=partial,
                 keep=True,
             )
+            told.end()
         if superclusters is not None:
             packed = room.reorder(packed, superclusters)
     except KeyboardInterrupt:

@@ -51,6 +51,7 @@ def export(
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
     title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    exact: Annotated[bool, typer.Option("--exact", help="Page: weights and places in float32, as in .onnx.")] = False,
     order: Annotated[
         int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
     ] = None,
@@ -67,10 +68,12 @@ def export(
     graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
     graph["--pose"] = pose
     mesh = {"--order": order, "--source": asset}
-    page = {"--light": light, "--compressed": compressed, "--title": title}
+    page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
     if web:
         _refuse(graph | mesh, "a page")
     else:
+        if not ends:
+            raise InputError(f"{output} must end in .onnx or .glb; to write a page into that folder give --web")
         check_writable(output, (".onnx", ".glb"))
         _refuse(page | (graph if ends == ".glb" else mesh), f"{ends} without --web")
     start = options.choice(source or "light", "--from", ("light", "environment"))
@@ -92,7 +95,8 @@ def export(
     if chosen is not None:
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
-        return export_page(loaded, output, light, compressed, title or transfer.stem, chosen, with_ground)
+        named = title or transfer.stem
+        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact)
     if ends == ".glb":
         return _export_mesh(loaded, output, order, asset, transfer.parent)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)

@@ -23,6 +23,7 @@ def export_page(
     title: str,
     gloss: Brdf | None,
     with_ground: bool = False,
+    exact: bool = False,
 ) -> None:
     """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open.
 
@@ -39,8 +40,10 @@ def export_page(
     if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
     environments = None if lights is None else [environment_of(each, transfer.order, repair=False) for each in lights]
-    report = web.export(transfer, folder, environments=environments, compressed=packed, title=title)
+    report = web.export(transfer, folder, environments=environments, compressed=packed, title=title, exact=exact)
     say(f"{report}, written in {time.perf_counter() - start:.1f} s")
     if report.parity is not None:
         say(report.parity)
+    if report.packed is not None:
+        say(report.losses())
     say(f"look at it with: torchprt serve {folder}")

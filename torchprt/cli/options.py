@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 LARGEST = 4096
 WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "incident", "visibility")
+METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="File to write.")]

@@ -92,8 +92,10 @@ class PictureOptions:
 
         return preview.Orbit.around(preview.subject(transfer.receivers), self.view, sides=sides, **self._held())
 
-    def studio(self, transfer: Transfer, shader: Shader, environment: Environment) -> Studio:
-        """What makes the pictures."""
+    def studio(
+        self, transfer: Transfer, shader: Shader, environment: Environment, colours: Tensor | None = None
+    ) -> Studio:
+        """What makes the pictures; of `colours` if they are given."""
         from torchprt.preview import Studio
 
         return Studio(
@@ -105,6 +107,7 @@ class PictureOptions:
             tone=self.tone,
             background=self.background,
             samples=self.samples,
+            colours=colours,
         )
 
     def _held(self) -> dict[str, Any]:

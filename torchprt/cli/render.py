@@ -13,9 +13,11 @@ from torchprt.cli.bake_on_the_way import Source
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
-from torchprt.words import count
+from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
+from torchprt.words import count, either
 
 MOST = 720
+SHOWN = ("radiance", "sight")
 
 
 def render(
@@ -23,7 +25,12 @@ def render(
         list[Path],
         typer.Argument(help="A .safetensors of `torchprt bake` or `compress`; or meshes or a scene, baked on the way."),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".png (a turntable as a sheet) or .gif.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help=".png or .jpg (a turntable as a sheet, or frames-####.png), .webp, .gif or .mp4."
+        ),
+    ],
     light: asked.Light = asked.LIGHT,
     size: asked.Size = asked.SIZE,
     turntable: Annotated[int, typer.Option(min=0, max=MOST, help="Pictures in which the camera goes around.")] = 0,
@@ -39,7 +46,10 @@ def render(
     backdrop: asked.Backdrop = None,
     exposure: asked.Exposure = None,
     tone: asked.Tone = asked.TONE,
-    rate: Annotated[float, typer.Option(help="Pictures a second of the .gif, up to 50.")] = 15.0,
+    show: Annotated[
+        str, typer.Option(help="radiance, or sight: which vertices could look out when they were baked.")
+    ] = SHOWN[0],
+    rate: Annotated[float, typer.Option(help="Pictures a second of what moves, up to 50.")] = 15.0,
     material: Annotated[
         str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
     ] = None,
@@ -60,10 +70,16 @@ def render(
     ground_albedo: bake_options.GroundAlbedo = None,
 ) -> None:
     """Picture of a bake or a mesh, or a turntable of them, without a display. Glossy surfaces follow the camera."""
+    ends = check_writable(output, tuple(dict.fromkeys((*PICTURES, *MOVIES)))).suffix.lower()
+    fastest = 120 if ends == ".mp4" else 50
+    if not 0 < rate <= fastest:
+        raise InputError(f"--rate is {rate}: give pictures a second, above 0 and up to {fastest}")
+
     import torchprt as prt
     from torchprt import preview
 
-    check_writable(output, (".png", ".gif"))
+    if ends == ".mp4":
+        preview.check_video()
     picture = asked.picture_options(
         light=light,
         size=size,
@@ -80,12 +96,11 @@ def render(
         tone=tone,
         repair=repair,
     )
+    options.choice(show, "--show", SHOWN)
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
-    if not 0 < rate <= 50:
-        raise InputError(f"--rate is {rate}: give pictures a second, above 0 and up to 50")
-    if picture.background == "transparent" and output.suffix.lower() == ".gif":
-        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write a .png")
+    if picture.background == "transparent" and ends not in TRANSPARENT:
+        raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {either(TRANSPARENT)}")
     given: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "output_order": output_order}
     given |= {"seed": seed, "threads": threads, "albedo": albedo, "material": material, "specular": specular}
     given |= {"two_sided": two_sided, "blocker": blocker, "ground": ground, "ground_albedo": ground_albedo}
@@ -95,17 +110,23 @@ def render(
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment)
+    colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
+    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:
         pictures = list(studio.light_turntable(light_turntable, picture.camera(loaded), picture.rotation))
     else:
         pictures = [studio.picture(picture.camera(loaded), picture.rotation)]
-    if output.suffix.lower() == ".gif":
-        preview.save_gif(pictures, output, rate)
+    if "#" in output.name or ends in (".gif", ".mp4") or (ends in MOVIES and len(pictures) > 1):
+        preview.save_movie(pictures, output, rate)
     else:
-        preview.save_png(preview.strip(pictures), output)
+        preview.save_picture(preview.strip(pictures), output)
     shape = "{} x {}".format(*picture.size)
-    made = f"{count(len(pictures), 'picture')} of {shape}, exposure {studio.exposure:+.2f} stops"
-    say(f"{output}: {made}, under {environment.name}")
+    made = f"{output}: {count(len(pictures), 'picture')} of {shape}"
+    if show == "sight":
+        for line in preview.sight_legend(loaded.receivers):
+            say(line)
+        say(f"{made}, sight of the vertices")
+        return
+    say(f"{made}, exposure {studio.exposure:+.2f} stops, under {environment.name}")

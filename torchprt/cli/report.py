@@ -6,15 +6,24 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from torchprt.progress import quiet
 from torchprt.words import count
 
 if TYPE_CHECKING:
+    import numpy as np
     from torch import Tensor
 
     from torchprt.transfer import Layer, Transfer
 
 
 def say(what: Any) -> None:
+    """Tells what was done and what is worth knowing, unless all shall be quiet."""
+    if not quiet():
+        answer(what)
+
+
+def answer(what: Any) -> None:
+    """Tells what was asked for."""
     print(what, flush=True)
 
 
@@ -22,7 +31,7 @@ def complain(what: Any) -> None:
     print(f"torchprt: {what}", file=sys.stderr, flush=True)
 
 
-def triple(values: Tensor) -> str:
+def triple(values: Tensor | np.ndarray) -> str:
     return "({:.4g}, {:.4g}, {:.4g})".format(*values.tolist())
 
 

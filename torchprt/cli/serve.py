@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torchprt.cli.report import say
+from torchprt.cli.report import answer
 
 
 def serve(
@@ -19,6 +19,6 @@ def serve(
     from torchprt.web import serve as served
 
     with served(folder, port) as server:
-        say(f"{folder} is at http://127.0.0.1:{server.server_port}/ until Ctrl-C")
+        answer(f"{folder} is at http://127.0.0.1:{server.server_port}/ until Ctrl-C")
         with contextlib.suppress(KeyboardInterrupt):
             server.serve_forever()

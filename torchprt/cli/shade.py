@@ -13,6 +13,7 @@ from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
 from torchprt.files import atomic, check_writable
+from torchprt.suffixes import PICTURES
 from torchprt.words import count
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 def shade(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help=".npy of radiance, .ply or .glb with colours, or .png.")
+        Path, typer.Option("-o", "--output", help=".npy of radiance, .ply or .glb with colours, .png .jpg or .webp.")
     ],
     light: asked.Light = asked.LIGHT,
     rotate: asked.Rotate = asked.ROTATE,
@@ -55,14 +56,14 @@ def shade(
 
     Exposure and tone are of .ply, .glb and .png; size, camera and background of the .png, which is that of `render`.
     """
+    ends = check_writable(output, (".npy", ".ply", ".glb", *PICTURES)).suffix.lower()
+
     import numpy as np
     import torch
 
     import torchprt as prt
     from torchprt import preview, sh
 
-    check_writable(output, (".npy", ".ply", ".glb", ".png"))
-    ends = output.suffix.lower()
     picture = asked.picture_options(
         light=light,
         size=size,
@@ -86,7 +87,7 @@ def shade(
     rest, moved = loaded, dict[str, torch.Tensor]()
     if pose:
         loaded, moved = in_pose(rest, pose)
-    framed = picture.camera(loaded) if ends == ".png" else None
+    framed = picture.camera(loaded) if ends in PICTURES else None
     chosen, seen = options.gloss_of(loaded, material), _eye_of(loaded, seen, framed)
     environment = picture.environment(loaded.order)
     shader = prt.shader(rest, brdf=chosen)
@@ -108,7 +109,7 @@ def shade(
     if ends in (".ply", ".glb") and model is not loaded:
         loaded, radiance = model, radiance[~loaded.receivers.ground()]
     if framed is not None:
-        preview.save_png(studio.picture(framed, picture.rotation, radiance), output)
+        preview.save_picture(studio.picture(framed, picture.rotation, radiance), output)
     elif ends == ".ply":
         preview.save_ply(loaded.positions, loaded.faces, preview.colours(radiance, studio.exposure, tone), output)
     elif ends == ".glb":

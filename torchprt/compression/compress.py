@@ -19,6 +19,8 @@ from torchprt.version import VERSION
 
 # Encodings until an error is met: each corrects what the next is expected to have.
 _TRIES = 5
+# Of the error that is asked for: as much is near enough.
+_NEAR = 0.93
 
 
 def compress(
@@ -148,6 +150,9 @@ def _to(dense: Dense, faces: Tensor, sizes: list[Sizes], error: float, options: 
     tried: dict[Sizes, float] = {}
     expected = sizes
     for _ in range(_TRIES):
+        if found is not None and _NEAR * error <= (found.compression_error or 0.0):
+            # What is left to gain is less than another encoding takes.
+            break
         fitting = [k for k, size in enumerate(expected) if size.error <= error and sizes[k] not in tried]
         if found is not None:
             fitting = [k for k in fitting if sizes[k].bytes < 0.97 * found.bytes]

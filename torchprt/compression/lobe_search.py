@@ -26,16 +26,23 @@ _PASSES = 20
 _EXCHANGED, _RESTARTED = 0.1, 0.5
 # How often the ridge is moved to the heights that were found: so it costs nothing where lobes are well apart.
 _RELEASES = 4
+# What the steps of the search take beside that of adding a lobe, about: of a scan, four lobes.
+_SPREAD, _EXCHANGE, _RESTART, _FINISH = 8, 4, 4, 6
 # A vector that one lobe holds to the rounding of its power is that lobe, refined to the end: the ridge would rather
 # have several in one place.
 _END: dict[str, Any] = {"iterations": 6, "tolerance": 0.0}
+
+
+def cost(lobes: int, restarts: int, exchanged: bool) -> int:
+    """How much a search tells of for each of its vectors; whether lobes are `exchanged` too."""
+    return lobes + _SPREAD + exchanged * lobes * _EXCHANGE + restarts * _RESTART + _FINISH
 
 
 class Search:
     """The best lobes so far of every vector: `axes [L, 3, V]`, and `error [V]` as `refine` gives it.
 
     `target`: vectors of unit power, or zero; `size [V]`: what they were divided by; `edges [E, 2]`: pairs of points,
-    both ways round. `tell` is told how many steps are done.
+    both ways round. `tell` is told what is done, in all `cost` for each vector.
     """
 
     def __init__(
@@ -56,9 +63,9 @@ class Search:
             if count == 1:
                 self.held = rest.square().sum((0, 1)) <= self.power * torch.finfo(rest.dtype).eps
                 self.single, _ = refine(some[self.held], self.axes[..., self.held], workers, **_END)
-            tell(1)
+            tell(len(target))
         self._spread(torch.ones_like(self.error, dtype=torch.bool))
-        tell(1)
+        tell(_SPREAD * len(target))
 
     def exchange(self) -> None:
         """Gives up each of the lobes in turn, for the best one on what the others leave."""
@@ -68,7 +75,7 @@ class Search:
             rest = self._residual(some, kept) if len(kept) else some.vectors
             axes = torch.cat([kept, best_axis(rest, some.first, self.workers)[None]])
             self._spread(self._try(points, axes, _TRIAL))
-            self.tell(1)
+            self.tell(_EXCHANGE * len(self.target))
 
     def restart(self, times: int, generator: torch.Generator) -> None:
         """Random axes where the error is high, so many times."""
@@ -83,7 +90,7 @@ class Search:
             best = error.view(draws, -1).argmin(0) * len(points) + torch.arange(len(points), device=error.device)
             self._spread(self._try(points, axes[..., best], _TRIAL))
             done += draws
-            self.tell(draws)
+            self.tell(draws * _RESTART * len(self.target))
 
     def finish(self) -> Tensor:
         """Heights `[L, C, B, V]` of the axes, which are refined as far as they go."""
@@ -96,7 +103,7 @@ class Search:
         alone, _ = fit_heights(replace(self.target, ridge=0.0)[self.held], self.single)
         heights[..., self.held] = torch.cat([alone, alone.new_zeros(len(heights) - 1, *alone.shape[1:])])
         self.axes[..., self.held] = self.single
-        self.tell(1)
+        self.tell(_FINISH * len(self.target))
         return heights
 
     def _try(self, points: Tensor, axes: Tensor, steps: dict[str, Any]) -> Tensor:

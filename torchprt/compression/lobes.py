@@ -12,7 +12,7 @@ from torch import Tensor
 from torchprt.compression.coherence import check_mesh
 from torchprt.compression.lobe_axes import RIDGE, Target, sum_of_lobes
 from torchprt.compression.lobe_refinement import Workers
-from torchprt.compression.lobe_search import Search
+from torchprt.compression.lobe_search import Search, cost
 from torchprt.compression.smooth_lobes import PASSES, SMOOTHNESS, smooth_lobes, stages
 from torchprt.compression.subspaces import one_thread
 from torchprt.errors import InputError
@@ -72,7 +72,7 @@ def fit_lobes(
     - `exact`: bands 0 and 1 are stored apart; by default with three lobes or more (which span them), from order 2 on.
     - `smooth`: lobes of neighbours over `faces` correspond and can be interpolated, axes to be normalised after it. The
       more `smoothness`, the less they differ, and the larger the error.
-    - `report` is told of steps of the search.
+    - `report` is told of vectors, of each as often as the search comes by it, about.
 
     Raises InputError if the vectors cannot be fitted, there is no lobe, or `smooth` without faces.
     Source: Sloan, Luna and Snyder 2005, section 4.1; Golub and Pereyra 1973.
@@ -101,11 +101,10 @@ def fit_lobes(
             workers = Workers(threads)
             if smooth:
                 pulls = stages(smoothness)
-                told.start("smooth", (restarts + 1) * len(pulls) * PASSES)
+                told.start("smooth", (restarts + 1) * len(pulls) * PASSES * len(vectors))
                 axis, heights = smooth_lobes(signal, lobes, sought, edges, workers, generator, pulls, restarts, told)
             else:
-                exchanged = lobes if len(edges) or restarts else 0
-                told.start("lobes", lobes + exchanged + restarts + 2)
+                told.start("lobes", cost(lobes, restarts, bool(len(edges) or restarts)) * len(vectors))
                 axis, heights = _independent(signal, lobes, sought, edges, workers, generator, restarts, told)
             found[:, :, sought - first :] = heights
         if first == 0:

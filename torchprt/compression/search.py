@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -24,19 +24,31 @@ _SHARED = (32, 64, 96, 128, 192, 256, 320, 384, 448, 512)
 # Passes of vector quantisation, and after them with so many components: more of these than with 1, 2, 4, ...
 _START, _EACH = 4, 2
 _LEVELS, _WIDE_LEVELS = (1, 2, 4, 8, 16, 32), (4, 16)
+# Of an error that the axes alone seem to explain, clusters leave at least this part.
+_LEAST_LEFT = 0.3
 # Squared rounding of half-precision representatives, of their square.
 _HALF = 2.0**-24 / 3
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """A size of clustered PCA: `bytes` are exact, `error` (relative RMS) is expected."""
+    """A size of clustered PCA: `bytes` are exact, `error` (relative RMS) is expected.
+
+    Squared, relative to the power: `clustered` is what clusters and weights are expected to leave, `cut` what no
+    point reaches because the shared axes do not.
+    """
 
     clusters: int
     components: int
     shared: int
     bytes: int
-    error: float
+    clustered: float
+    cut: float
+
+    @property
+    def error(self) -> float:
+        # Of what clusters leave over, a part is what the axes leave out.
+        return (self.clustered**1.5 + self.cut**1.5) ** (1 / 3)
 
 
 def stored_bytes(points: int, numbers: int, clusters: int, components: int, shared: int, bits: int) -> int:
@@ -94,10 +106,9 @@ def candidates(
             most = 0 if method == "vq" else min(len(curve) - 1, numbers)
             for components, squared in enumerate((curve[: most + 1] / power).tolist()):
                 for shared in shares:
-                    # Of what clusters leave over, a part is what the axes leave out.
-                    total = (squared**1.5 + left[shared - 1] ** 1.5) ** (2 / 3) if shared else squared
                     size = stored_bytes(points, numbers, clusters, components, shared, bits)
-                    found.append(Sizes(clusters, components, shared, size, math.sqrt(total)))
+                    cut = left[shared - 1] if shared else 0.0
+                    found.append(Sizes(clusters, components, shared, size, squared, cut))
     return found
 
 
@@ -175,6 +186,10 @@ def _left(spaces: Subspaces, bits: int) -> Tensor:
 
 
 def corrected(sizes: list[Sizes], tried: Sizes, error: float) -> list[Sizes]:
-    """`sizes` after `tried` turned out to have `error`: all errors in the same proportion."""
-    factor = error / tried.error if tried.error > 0 else 1.0
-    return [Sizes(s.clusters, s.components, s.shared, s.bytes, s.error * factor) for s in sizes]
+    """`sizes` after `tried` turned out to have `error`: what clusters leave in the same proportion.
+
+    What the axes cut is known, and no clusters bring it back.
+    """
+    clustered = max(error**3 - tried.cut**1.5, (_LEAST_LEFT * error) ** 3) ** (2 / 3)
+    factor = clustered / tried.clustered if tried.clustered > 0 else 1.0
+    return [replace(each, clustered=each.clustered * factor) for each in sizes]

@@ -63,7 +63,7 @@ def smooth_lobes(
                 target = Target(vectors, first, _HEIGHTS, _mean(heights, edges), _mean(axes, edges), pull)
                 axes, error = refine(target, axes, workers, iterations=_STEPS, tolerance=0.0)
                 heights = _heights(target, axes, workers)
-                report.advance(1)
+                report.advance(signal.shape[2])
         left = float(error.double().sum())
         if best is None or left < best[0]:
             best = left, axes, heights * scale

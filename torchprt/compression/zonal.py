@@ -13,7 +13,7 @@ from torchprt.compression.lobes import Lobes, fit_lobes
 from torchprt.compression.smooth_lobes import SMOOTHNESS
 from torchprt.compression.transfer import faces_between
 from torchprt.errors import InputError
-from torchprt.progress import Report
+from torchprt.progress import Parts, Report
 from torchprt.transfer import Dense, Transfer, Zonal
 
 
@@ -57,7 +57,8 @@ def fit(
 def _zonal(dense: Dense, lobes: int, faces: Int[Tensor, "F 3"], options: dict[str, Any]) -> Zonal:
     values = dense.values
     rows = [values] if values.ndim == 3 else [row.mT for row in values.unbind(2)]
-    made = [_lobes(row, lobes, faces, options) for row in rows]
+    told = None if options["report"] is None else Parts(options["report"], len(rows))
+    made = [_lobes(row, lobes, faces, options | {"report": told}) for row in rows]
     error = torch.stack([one.error for one in made]).sum(0)
     power = float(torch.linalg.vector_norm(values, dtype=torch.float64))
     return Zonal(

@@ -20,6 +20,8 @@ SUN = math.radians(12)
 AZIMUTH = (0.7, 0.714)
 """Where the suns stand, along +x and +z: to the right of whoever looks along -z, and behind him."""
 GROUND_ALBEDO = 0.2
+DAYLIGHT = (1.026, 0.9845, 1.077)
+"""What sun and sky at noon bring to level ground, of luminance 1: white to a camera that is set to daylight."""
 # Directions, half widths and half heights as tangents, and radiance of a key at 45 degrees, a fill from the other side
 # with a quarter of its irradiance, and a rim light from behind; all of one white.
 THREE_POINT = (
@@ -41,7 +43,8 @@ def built_in(name: str, height: int = 256) -> Float[Tensor, "H W 3"]:
     - "overcast": the CIE overcast sky, soft light from above.
     - "white": the same from everywhere: what is dark is occluded.
 
-    Suns are discs of 12 degrees half angle with the irradiance of the sun; grounds have an albedo of .2.
+    Suns are discs of 12 degrees half angle with the irradiance of the sun; grounds have an albedo of .2. Colours are
+    balanced for daylight: the sky at noon lights level ground in white.
     Raises InputError for another name, and if `height` is below 2.
     """
     if name not in BUILT_IN:
@@ -68,7 +71,7 @@ def _day(elevation: float, turbidity: float, height: int) -> Tensor:
     radiance = sky + torch.where((directions @ toward > math.cos(SUN))[..., None] & above, blurred, 0.0)
     weights = sh.latlong_weights(height, 2 * height)[..., None] * directions[..., 1:2].clamp(min=0)
     ground = GROUND_ALBEDO / math.pi * (radiance * weights).sum((0, 1))
-    return torch.where(above, radiance, ground).float()
+    return (torch.where(above, radiance, ground) / torch.tensor(DAYLIGHT).double()).float()
 
 
 def _overcast(height: int) -> Tensor:

@@ -71,7 +71,7 @@ class ImageReport:
                 "they were left as they are, and tint the light unless the lamp really has that colour."
             )
         span = f"from {self.minimum:.6g} to {self.maximum:.6g}"
-        return found or [f"{self.height} x {self.width} pixels {span}, no damage found."]
+        return found or [f"Values {span}, no damage found."]
 
 
 def _count(values: int) -> str:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.light import exr, rgbe
 from torchprt.light.damage import DamagedImageWarning, ImageReport, mend
+from torchprt.suffixes import refuse_other
 
 
 def read(path: str | os.PathLike[str], *, repair: bool = False) -> Float[Tensor, "H W 3"]:
@@ -66,6 +67,7 @@ def _read_picture(path: Path) -> np.ndarray:
             _check_depth(path, opened)
             picture = PIL.ImageOps.exif_transpose(opened)
     except PIL.UnidentifiedImageError as fault:
+        refuse_other(path, "an image")
         raise InputError(f"{path} is no image that can be read: give an .exr, .hdr, .png or .jpg") from fault
     except (OSError, SyntaxError, ValueError, EOFError, PIL.Image.DecompressionBombError) as fault:
         raise InputError(f"{path} is damaged or truncated ({fault}): get the file again") from fault

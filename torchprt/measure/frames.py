@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchprt import words
 from torchprt.errors import InputError
 from torchprt.measure.error import relative_rms
 from torchprt.measure.exit_radiance import exit_radiance, exit_radiance_by_brute_force, random_lights
@@ -69,7 +70,7 @@ def compare_frames(
     # Another seed than that of the bake: the same directions would share its noise.
     wanted = exit_radiance_by_brute_force(few, chosen, directions, light, rays=_REFERENCE_RAYS, seed=seed + 1)
     repeated = chosen[torch.arange(len(geometry.glossy)) % len(chosen)]
-    table = Table(f"{brdf.spec}, order {order}, {count(len(geometry.glossy), 'glossy receiver')}")
+    table = Table(f"{brdf.spec}, order {order}, {words.count(len(geometry.glossy), 'glossy receiver')}")
     for name, options in _ways(order, output_orders, factors, visibility_orders).items():
         with warnings.catch_warnings():
             # The errors are what is asked for here.

@@ -10,13 +10,17 @@ from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
 from .lobe import Lobe, lobe
+from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
 from .picture import Still, save_png
 from .relight import Relight
+from .saving import save_movie, save_picture
 from .session import Session
 from .sheet import sheet
+from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
+from .video import check_video, save_mp4
 from .window import check_window, show
 
 __all__ = [
@@ -27,12 +31,14 @@ __all__ = [
     "Environment",
     "Lobe",
     "Orbit",
+    "Picture",
     "Relight",
     "Session",
     "Still",
     "Studio",
     "automatic_exposure",
     "built_in_environment",
+    "check_video",
     "check_window",
     "colours",
     "error_colours",
@@ -41,16 +47,23 @@ __all__ = [
     "keep_light",
     "linear_colours",
     "lobe",
+    "look",
+    "look_at_light",
     "photograph",
     "save_gif",
     "save_glb",
     "save_lit_glb",
+    "save_movie",
+    "save_mp4",
+    "save_picture",
     "save_ply",
     "save_png",
     "save_transfer_glb",
     "seen_along",
     "sheet",
     "show",
+    "sight_colours",
+    "sight_legend",
     "strip",
     "subject",
     "tone_map",

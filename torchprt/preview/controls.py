@@ -15,7 +15,7 @@ HELP = (
     ("click", "the transfer function of a vertex"),
     ("left, right", "environment"),
     ("up, down", "exposure"),
-    ("1 2 3 4 5", "transfer, unshadowed, one lamp, compressed, error of compression"),
+    ("1 2 3 4 5 6", "transfer, unshadowed, one lamp, compressed, error of compression, sight"),
     ("M", "next of these modes"),
     ("- =", "fewer, more bands of the light"),
     ("W", "window against ringing"),

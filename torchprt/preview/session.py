@@ -16,19 +16,22 @@ from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
 from torchprt.preview.environment import WINDOWS, Environment, automatic_exposure, photograph, windowed
 from torchprt.preview.error_colours import error_colours
-from torchprt.preview.ground import subject
+from torchprt.preview.ground import opacity, subject
 from torchprt.preview.lobe import Lobe, lobe
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
+from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 from torchprt.words import count
 
-MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error")
+MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
 UNBAKED = ("unshadowed", "one lamp")
 """Modes that look at normals alone."""
+PLAIN = 0.27
+"""sRGB of what is behind the model where nothing else is."""
 BACKDROPS = ("plain", "environment", "environment in bands")
 WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
@@ -89,10 +92,13 @@ class Session:
         self.exposure = 0.0
         self.environment = 0
         self.backdrop = BACKDROPS[0]
+        self._opacity = opacity(first.receivers)
         self.rotation = torch.eye(3)
         self.orbit = self._home = Orbit.around(subject(first.receivers).double(), toward)
         self.picked: int | None = None
-        self.radius = float((self.rest - torch.tensor(self.orbit.target).double()).norm(dim=-1).max())
+        self.radius = float(
+            (subject(first.receivers).double() - torch.tensor(self.orbit.target).double()).norm(dim=-1).max()
+        )
         self._brdf = brdf
         self._all = dict(bakes)
         self._relights: dict[str, Relight] = {}
@@ -150,10 +156,18 @@ class Session:
             *(self.mode, self.bake, self.packed, self.order, self.window, self.environment, self.exposure),
             *(tuple(self.rotation.flatten().tolist()), self.orbit if self.follows_eye else None),
             self.seconds if self.follows_pose else None,
+            self._opacity is not None and self.backdrop == BACKDROPS[0],
         )
         if self._shown is None or self._shown[0] != key:
-            self._shown = key, self._error() if self.mode == "error" else self._display(self.radiance())
+            self._shown = key, self._faded(self._make_colours())
         return self._shown[1]
+
+    def _faded(self, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
+        """With a ground that becomes the plain background toward its edge."""
+        if self._opacity is None or self.backdrop != BACKDROPS[0]:
+            return colours
+        share = self._opacity.to(colours)[:, None]
+        return share * colours + (1 - share) * PLAIN
 
     def backdrop_image(self) -> Float[Tensor, "H W 3"] | None:
         """sRGB latitude-longitude map of what is behind the model, before it is turned; None if nothing is."""
@@ -185,6 +199,8 @@ class Session:
         ]
         if self.mode == "error" and self.worst is not None:
             lines.append(f"error {self.worst:.2%} RMS, red is {self._most():.2%}")
+        if self.mode == "sight":
+            lines += sight_legend(bake.receivers)
         return lines
 
     # Changes
@@ -285,7 +301,7 @@ class Session:
 
     def _stored(self) -> str:
         """The name of the bake that is shaded in the present mode."""
-        if self.mode in ("transfer", *UNBAKED):
+        if self.mode in ("transfer", "sight", *UNBAKED):
             return self.bake
         return self.packed or self._compress(self.bake)
 
@@ -318,6 +334,11 @@ class Session:
 
     def _pose(self) -> Tensor | None:
         return self.positions if self.follows_pose and self.positions is not self.rest else None
+
+    def _make_colours(self) -> Tensor:
+        if self.mode == "sight":
+            return sight_colours(self._all[self.bake].receivers)
+        return self._error() if self.mode == "error" else self._display(self.radiance())
 
     def _error(self) -> Tensor:
         """The map of what compression changes, and its RMS in `worst`."""

@@ -35,6 +35,7 @@ class Studio:
     `rotation` turns the environment. Glossy transfer is shaded for the eye of the camera. `exposure` in stops, that of
     `automatic_exposure` if omitted. `background`: a plain grey one, the environment, nothing (pictures then have a
     fourth channel, their opacity), or a colour in sRGB. A ground fades out toward its rim.
+    `colours`: sRGB of the vertices, to be shown as they are in place of their radiance.
     Raises InputError as `Still` and the shader.
     """
 
@@ -49,6 +50,7 @@ class Studio:
         tone: ToneMap = TONE,
         background: Background = "plain",
         samples: int = SAMPLES,
+        colours: Float[Tensor, "V 3"] | None = None,
     ):
         if background == "environment" and environment.image is None:
             raise InputError(f"{environment.name} has no image to show behind the model: give an environment image")
@@ -59,6 +61,7 @@ class Studio:
         self.tone: ToneMap = tone
         self.background: Background = background
         self.samples = samples
+        self._colours = None if colours is None else linear(colours.float())
         self._relight = Relight(shader)
         self._still: Still | None = None
         self._panorama: tuple[float, Tensor] | None = None
@@ -74,21 +77,16 @@ class Studio:
         `radiance` of the vertices takes the place of what the shader gives.
         """
         still = self._look(camera)
-        if radiance is None:
+        exposure, tone = self.exposure, self.tone
+        if self._colours is not None:
+            radiance, exposure, tone = self._colours, 0.0, "none"
+        elif radiance is None:
             eye = torch.tensor(camera.eye, dtype=torch.float64)
             radiance = self._relight(rotate(self.environment.light, rotation), eye)
         if self.background == "transparent":
-            return still.cutout(radiance.float(), exposure=self.exposure, tone=self.tone)
+            return still.cutout(radiance.float(), exposure=exposure, tone=tone)
         behind = self._behind(camera, rotation)
-        return still.picture(radiance.float(), exposure=self.exposure, tone=self.tone, background=behind)
-
-    def colours(self, camera: Camera, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "H W C"]:
-        """One picture of sRGB colours of the vertices, neither exposed nor tone mapped."""
-        still = self._look(camera)
-        if self.background == "transparent":
-            return still.cutout(linear(colours.float()), tone="none")
-        behind = self._behind(camera, torch.eye(3))
-        return still.picture(linear(colours.float()), tone="none", background=behind)
+        return still.picture(radiance.float(), exposure=exposure, tone=tone, background=behind)
 
     def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:

@@ -16,9 +16,8 @@ from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.preview.controls import HELP, Controls, Event
 from torchprt.preview.drawing import Drawing
-from torchprt.preview.session import Session
+from torchprt.preview.session import PLAIN, Session
 
-GROUND = 0.27
 REST = 0.004
 """Seconds of sleep when nothing has changed."""
 HINT = "right drag turns the light, H is help"
@@ -114,7 +113,7 @@ class Window:
             raise InputError(f"the window could not be opened (it needs OpenGL 3.3): {OFF_SCREEN}")
         options = self.viewer.get_render_option()
         options.light_on = False
-        options.background_color = np.full(3, GROUND)
+        options.background_color = np.full(3, PLAIN)
         self.controls = Controls(session, say, size)
         self.drawing = Drawing(open3d, self.viewer, session)
         self._events: list[Event] = []

@@ -47,7 +47,9 @@ class Object:
         if self.glossy and brdf is not None and self.mesh.tangents is None:
             warnings.warn(
                 f"{self.mesh.name} has an anisotropic gloss ({brdf.spec}) and no texture coordinates: its tangents are "
-                "a smooth field, guided by the x axis (another where the surface mostly faces along x)",
+                "a smooth field, guided by the x axis (another where the surface mostly faces along x); on a bumpy "
+                "surface it has points that it turns about, and streaks look like hide there: texture coordinates, "
+                "or tangents in the file, say which way they run",
                 TangentWarning,
                 stacklevel=3,
             )

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torchprt.errors import InputError
+from torchprt.suffixes import refuse_other
 
 from .gltf import Document, Piece
 from .gltf import pieces as gltf_pieces
@@ -77,6 +78,7 @@ def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
     source = Path(path)
     reader = READERS.get(source.suffix.lower())
     if reader is None:
+        refuse_other(source, "a mesh")
         known = ", ".join(READERS)
         raise InputError(f"{source} is not a mesh file that can be read: convert it to one of {known}")
     try:

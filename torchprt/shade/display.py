@@ -45,10 +45,9 @@ def neutral(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     Source: Khronos Group, "PBR neutral tone mapper", specification (2024), github.com/KhronosGroup/ToneMapping.
     """
     x = torch.clamp(radiance, min=0)
-    least = x.amin(-1, keepdim=True)
-    # 6.25 x^2 of a small channel is left: (x / (2 F90))^2 F90, without the step that taking off F90 would make.
-    low = torch.clamp(least, max=2 * F90)
-    x = x - torch.where(least < 2 * F90, low - low * low / (4 * F90), F90)
+    # F90 of what is above 2 F90; below that less, so that 6.25 x^2 is left, without a step.
+    low = torch.clamp(x.amin(-1, keepdim=True), max=2 * F90)
+    x = x - (low - low * low / (4 * F90))
     peak = x.amax(-1, keepdim=True)
     room = 1 - START
     # Below the start these are not used, and must not divide by 0.

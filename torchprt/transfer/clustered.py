@@ -21,7 +21,7 @@ _LABELS = (torch.uint8, torch.int16, torch.int32, torch.int64)
 _CHUNK = 1 << 14
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Clustered(Signal):
     """The matrix of a receiver is `mean[k] + sum_i w_i basis[offsets[k] + i]`, k its label, i below the count
     `offsets[k + 1] - offsets[k]` of its cluster.

@@ -17,7 +17,7 @@ from torchprt.transfer.signal import Signal, check_counts, columns_of
 _CHUNK = 4096
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Dense(Signal):
     """What a bake records, as it is.
 

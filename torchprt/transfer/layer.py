@@ -19,7 +19,7 @@ from torchprt.transfer.signal import Signal
 L = TypeVar("L", bound="Layer")
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Layer(Part, abc.ABC):
     """One of the layers whose sum is exit radiance: `weight * sum_i e_i(eye) sum_j M_ij light_j`.
 
@@ -109,7 +109,7 @@ class Layer(Part, abc.ABC):
             check_indices("receivers", self.receivers, count)
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Diffuse(Layer):
     """Diffuse transfer vectors, in the world frame.
 
@@ -136,7 +136,7 @@ class Diffuse(Layer):
             )
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class EyeLayer(Layer):
     """What the layers that depend on the eye share.
 

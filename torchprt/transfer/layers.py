@@ -16,7 +16,7 @@ from torchprt.transfer.signal import columns_of
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Exit(EyeLayer):
     """Exit-radiance matrices, with the BRDF baked in.
 
@@ -41,7 +41,7 @@ class Exit(EyeLayer):
         _check_rows("signal", self.signal.shape[2], self.output_order, self.projection)
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Factored(EyeLayer):
     """Exit-radiance matrices of few rows: the BRDF is factored into functions of the eye and of the light.
 
@@ -67,7 +67,7 @@ class Factored(EyeLayer):
             )
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Incident(EyeLayer):
     """Source to transferred incident radiance: the BRDF is chosen at run time.
 
@@ -93,7 +93,7 @@ class Incident(EyeLayer):
         return math.isqrt(self.signal.shape[2])
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Visibility(EyeLayer):
     """Visibility alone, multiplied with the light at run time: a vector a receiver instead of a matrix.
 

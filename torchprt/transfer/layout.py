@@ -32,7 +32,7 @@ class Layout:
 P = TypeVar("P", bound="Part")
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Part:
     """A dataclass of tensors, which `layouts` describe by name, and of plain metadata, which JSON can hold.
 
@@ -62,6 +62,17 @@ class Part:
         """Its other fields, but for parts of their own."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: v for name, v in fields.items() if name not in self.layouts and not isinstance(v, Part)}
+
+    def __repr__(self) -> str:
+        """What it is: shapes and dtypes of its tensors, and its other fields, not all its numbers."""
+        shapes = [
+            f"{name}={str(value.dtype).removeprefix('torch.')}{list(value.shape)}"
+            for name, value in self.tensors().items()
+        ]
+        fields = (getattr(self, field.name) for field in dataclasses.fields(self))
+        parts = [repr(value) for value in fields if isinstance(value, Part)]
+        known = [f"{name}={value!r}" for name, value in self.metadata().items() if value is not None]
+        return f"{type(self).__name__}({', '.join([*parts, *shapes, *known])})"
 
     def sizes(self) -> dict[str, int]:
         """Size of every shape letter; InputError where a tensor does not have its layout."""

@@ -16,7 +16,7 @@ from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Receivers(Part, abc.ABC):
     """V receivers: `positions [V, 3]`, unit `normals [V, 3]` (zero where there is none), `faces [F, 3]` to draw."""
 
@@ -67,7 +67,7 @@ class Sight(enum.IntEnum):
     """Not at all: as those that are filled, but no neighbour sees either."""
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Vertices(Receivers):
     """Vertices of meshes one after the other, or loose points, in the world frame.
 
@@ -148,7 +148,7 @@ class Vertices(Receivers):
             raise InputError("original of the transfer does not name every vertex once: compress it again")
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Texels(Receivers):
     """The H x W texels of a patch that surfaces are covered with (`shade.lay`), row after row, in its tangent frame.
 

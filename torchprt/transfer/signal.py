@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 S = TypeVar("S", bound="Signal")
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Signal(Part, abc.ABC):
     """The transfer matrices `[C, M, N]` of G receivers, M = 1 for transfer vectors.
 

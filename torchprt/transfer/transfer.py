@@ -15,13 +15,14 @@ from torchprt.errors import InputError
 from torchprt.transfer.dense import Dense
 from torchprt.transfer.layer import Diffuse, Layer
 from torchprt.transfer.receivers import Receivers, Vertices
+from torchprt.words import count
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
 # A shader keeps its layers by name in a module, which has these already.
 _TAKEN = frozenset(dir(torch.nn.ModuleDict()))
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Transfer:
     """Exit radiance of V receivers as a linear function of the light: the sum of `layers`.
 
@@ -59,6 +60,15 @@ class Transfer:
         orders = {layer.order for layer in self.layers.values()}
         if len(orders) > 1:
             raise InputError(f"layers of the transfer are of orders {sorted(orders)}: all must be of that of the light")
+
+    def __repr__(self) -> str:
+        """What it is in a line, not all its numbers."""
+        told = [self.kind, f"order {self.order}", self.transport]
+        told += [count(self.bounces, "bounce")] if self.bounces else []
+        told += [count(self.channels, "channel"), count(self.vertices, "receiver"), f"{self.bytes / 2**20:.1f} MB"]
+        if self.error is not None and self.signal:
+            told.append(f"error {self.error / self.signal:.2%}")
+        return f"Transfer({', '.join(told)})"
 
     @property
     def kind(self) -> str:

@@ -14,7 +14,7 @@ from torchprt.transfer.layout import Layout
 from torchprt.transfer.signal import Signal, check_counts, columns_of
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Zonal(Signal):
     """Transfer vectors, or the M rows of transfer matrices, as sums of `L` zonal lobes each, for surfaces that deform.
 

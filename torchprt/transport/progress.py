@@ -8,23 +8,37 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from torchprt.progress import quiet
+
 
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
         if speed is None:
             return Text("")
-        # Millions of rays, thousands of receivers.
-        text = f"{speed / 1e6:.1f} M/s" if speed >= 1e5 else f"{speed / 1e3:.1f} k/s"
-        return Text(text, style="progress.data.speed")
+        return Text(rate(speed), style="progress.data.speed")
+
+
+def rate(speed: float) -> str:
+    """So many a second: millions of rays, thousands of receivers, or a few large pieces of work."""
+    unit, name = next(((unit, name) for unit, name in ((1e6, "M/s"), (1e3, "k/s")) if speed >= unit), (1.0, "/s"))
+    return f"{speed / unit:.{0 if speed >= 10 * unit else 1}f} {name}"
 
 
 class Bar:
-    """A progress bar on standard error, one line a stage; a context manager."""
+    """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager.
 
-    def __init__(self) -> None:
-        columns = (TextColumn("{task.description:>9}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
-        self._progress = Progress(*columns, _Rate(), TimeRemainingColumn(), console=Console(stderr=True))
+    `rates`: whether it says how much is done a second.
+    """
+
+    def __init__(self, rates: bool = True) -> None:
+        columns: list[ProgressColumn] = [
+            TextColumn("{task.description:>9}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
+        ]
+        columns += [_Rate()] if rates else []
+        self._progress = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True, quiet=quiet()))
         self._task: TaskID | None = None
 
     def __enter__(self) -> Bar:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -23,7 +24,8 @@ def samples(order: int) -> list[Environment]:
 
     Each has the least window that keeps it positive, so that it does not ring.
     """
-    return [built_in_environment(name, order) for name in light.BUILT_IN]
+    found = [built_in_environment(name, order) for name in light.BUILT_IN]
+    return [replace(each, name=each.name.capitalize()) for each in found]
 
 
 def of_order(environment: Environment, order: int) -> Float[Tensor, "N 3"]:

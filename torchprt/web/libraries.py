@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -37,6 +38,9 @@ LIBRARIES = (
             "build/three.module.min.js": "three.module.min.js",
             "build/three.core.min.js": "three.core.min.js",
             "examples/jsm/loaders/GLTFLoader.js": "loaders/GLTFLoader.js",
+            "examples/jsm/loaders/EXRLoader.js": "loaders/EXRLoader.js",
+            "examples/jsm/libs/fflate.module.js": "libs/fflate.module.js",
+            "examples/jsm/libs/meshopt_decoder.module.js": "libs/meshopt_decoder.module.js",
             "examples/jsm/utils/BufferGeometryUtils.js": "utils/BufferGeometryUtils.js",
             "examples/jsm/utils/SkeletonUtils.js": "utils/SkeletonUtils.js",
             "LICENSE": "three-LICENSE.txt",
@@ -63,12 +67,14 @@ PATIENCE = 600
 def libraries() -> Path:
     """The folder with the JavaScript of others and its licences; made by npm if this user has none yet (50 MB once).
 
-    It is `torchprt/web-VERSIONS` in XDG_CACHE_HOME, or in `~/.cache`. Packages are compared with the SHA-512 that
+    It is `torchprt/web-VERSIONS-FILES` in XDG_CACHE_HOME, or in `~/.cache`. Packages are compared with the SHA-512 that
     stands here. Only npm uses the network.
     Raises InputError if npm is missing or fails, or a package is not the one that it should be.
     """
     versions = "-".join(f"{library.name}-{library.version}" for library in LIBRARIES)
-    folder = _cache() / f"web-{versions}"
+    # Another list of files of the same packages is another folder.
+    files = json.dumps([library.files for library in LIBRARIES])
+    folder = _cache() / f"web-{versions}-{hashlib.sha256(files.encode()).hexdigest()[:8]}"
     if folder.is_dir():
         return folder
     try:

@@ -81,13 +81,13 @@ def _solid(
         _ellipsoid(points, 0.60, (0.88, 0.60)),
         _ring(radius, y, 0.46, 0.06, 0.075),
         _ellipsoid(points, 1.075, (0.47, 0.14)),
-        _ring(radius, y, 0.48, 1.09, 0.05),
+        _ring(radius, y, 0.475, 1.085, 0.062),
         _ellipsoid(points, 1.22, (0.05, 0.1)),
         _ellipsoid(points, 1.38, (0.115, 0.1)),
         *tubular.unbind(1),
     ]
     solid = -BLEND * torch.logsumexp(-torch.stack(parts) / BLEND, dim=0)
-    groove = _ring(radius, y, 0.40, 1.185, 0.045)
+    groove = _ring(radius, y, 0.385, 1.2, 0.055)
     hole = (points - mouth.to(points.dtype)).norm(dim=1) - 0.078
     cuts = torch.stack([solid, -groove, -hole, -0.01 - y])
     return BLEND * torch.logsumexp(cuts / BLEND, dim=0)

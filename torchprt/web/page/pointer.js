@@ -3,7 +3,7 @@
 const TURN = 0.0075; // radians a pixel
 const STEP = 24; // pixels that an arrow key stands for
 
-/** `on` has camera(right, down), light(right, down) in pixels, and zoom(factor). */
+/** `on` has camera(right, down), light(right, down) in pixels, zoom(factor), and play() for the space bar. */
 export function listen(canvas, on) {
   const held = new Map();
   let moves = null;
@@ -53,6 +53,7 @@ export function listen(canvas, on) {
     if (arrow) on[event.shiftKey ? "light" : "camera"](...arrow);
     else if (event.key === "+") on.zoom(0.9);
     else if (event.key === "-") on.zoom(1 / 0.9);
+    else if (event.key === " ") on.play();
     else return;
     event.preventDefault();
   });

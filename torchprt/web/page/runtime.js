@@ -1,29 +1,15 @@
 // ONNX Runtime: a graph and its inputs, in WebAssembly on one thread, or on the graphics card where that is faster.
 
+import { notRun, refused, unpacked } from "./faults.js";
+
 const FOLDER = new URL("./libraries/", import.meta.url);
 
-async function bytes(url) {
-  const response = await fetch(url);
-  if (!response.ok) throw new Error(`${url} could not be loaded (${response.status} ${response.statusText})`);
-  return response.arrayBuffer();
-}
-
-/** The content of a .gz file, also from servers that unpack it themselves. */
-async function unpacked(url) {
-  const content = await bytes(url);
-  const [first, second] = new Uint8Array(content, 0, 2);
-  if (first !== 0x1f || second !== 0x8b) return content;
-  try {
-    const stream = new Blob([content]).stream().pipeThrough(new DecompressionStream("gzip"));
-    return await new Response(stream).arrayBuffer();
-  } catch (fault) {
-    throw new Error(`${url} is damaged`, { cause: fault });
-  }
-}
-
-async function load(name) {
+async function library(name) {
+  const code = new URL(`${name}.bundle.min.mjs`, FOLDER);
   const [ort, wasm] = await Promise.all([
-    import(new URL(`${name}.bundle.min.mjs`, FOLDER)),
+    import(code).catch((fault) => {
+      throw refused(code, { statusText: fault.message });
+    }),
     unpacked(new URL(`${name}.wasm.gz`, FOLDER)),
   ]);
   // Threads need headers that a plain static server does not send.
@@ -46,16 +32,16 @@ export class Model {
   }
 
   static async open(url) {
-    wasm ??= load("ort.wasm");
-    const [ort, content] = await Promise.all([wasm, bytes(url)]);
+    wasm ??= library("ort.wasm");
+    const [ort, content] = await Promise.all([wasm, unpacked(url)]);
     return Model.#create(ort, content, "wasm", url);
   }
 
   /** The same graph on the graphics card; null if the browser has none that can be used. */
   static async openOnGpu(url) {
     if (!("gpu" in navigator) || !("Suspending" in WebAssembly) || !(await navigator.gpu.requestAdapter())) return null;
-    webgpu ??= load("ort.jspi");
-    const [ort, content] = await Promise.all([webgpu, bytes(url)]);
+    webgpu ??= library("ort.jspi");
+    const [ort, content] = await Promise.all([webgpu, unpacked(url)]);
     return Model.#create(ort, content, "webgpu", url);
   }
 
@@ -64,7 +50,7 @@ export class Model {
     try {
       session = await ort.InferenceSession.create(content, { executionProviders: [name], logSeverityLevel: 3 });
     } catch (fault) {
-      throw new Error(`ONNX Runtime cannot read ${url} (${fault.message ?? fault})`, { cause: fault });
+      throw notRun(url, content.byteLength, fault);
     }
     return new Model(ort, session, name, content.byteLength);
   }

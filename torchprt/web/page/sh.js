@@ -1,9 +1,15 @@
 // Irradiance from spherical harmonics. Order, index and sign are those of torchprt: l(l+1) + m, Condon-Shortley.
 
-/** Of the clamped cosine, over pi: what reflects from a white diffuse surface, a band at a time (0 from band 5 on). */
-const COSINE = [1, 2 / 3, 1 / 4, 0, -1 / 24];
+/** Of the clamped cosine, over pi: what reflects from a white diffuse surface, for each of `order` bands. */
+export function readings(order) {
+  const half = (l) => (l === 0 ? 1 : (half(l - 2) * (l - 1)) / l); // l! / (2^l (l/2)!^2)
+  return Array.from({ length: order }, (_, l) => {
+    if (l < 2) return l ? 2 / 3 : 1;
+    return l % 2 ? 0 : ((l % 4 ? 2 : -2) * half(l)) / ((l + 2) * (l - 1));
+  });
+}
 
-/** The real orthonormal basis at the unit direction (x, y, z), written into `out`, of `order` bands up to 5. */
+/** The real orthonormal basis at the unit direction (x, y, z), written into `out`, of `order` bands. */
 export function basis(x, y, z, order, out) {
   let sectoral = Math.sqrt(1 / (4 * Math.PI));
   let real = 1;
@@ -32,15 +38,16 @@ export function basis(x, y, z, order, out) {
 
 /**
  * What unshadowed white diffuse surfaces reflect, irradiance / pi, as a function `(x, y, z, out)` of their normals.
- * `light`: N x 3 coefficients; bands of order 6 and more, and the fourth, reach no diffuse surface.
+ * `light`: N x 3 coefficients.
  */
 export function irradiance(light) {
-  const order = Math.min(Math.round(Math.sqrt(light.length / 3)), COSINE.length);
+  const order = Math.round(Math.sqrt(light.length / 3));
+  const reflected = readings(order);
   const count = order * order;
   const values = new Float64Array(count);
   const filtered = new Float64Array(3 * count);
   for (let l = 0; l < order; l++) {
-    for (let i = 3 * l * l; i < 3 * (l + 1) * (l + 1); i++) filtered[i] = COSINE[l] * light[i];
+    for (let i = 3 * l * l; i < 3 * (l + 1) * (l + 1); i++) filtered[i] = reflected[l] * light[i];
   }
   return (x, y, z, out) => {
     basis(x, y, z, order, values);

@@ -1,6 +1,5 @@
 // What is drawn: the mesh with its radiance, the environment behind it, a camera around both.
 import * as THREE from "three";
-import { GLTFLoader } from "./libraries/loaders/GLTFLoader.js";
 import { DISPLAY } from "./display.js";
 
 // Attributes and colours pass through as they are: radiance is linear, DISPLAY makes of it what is shown.
@@ -11,7 +10,7 @@ const STEEPEST = (89 / 180) * Math.PI;
 
 const surface = () =>
   new THREE.ShaderMaterial({
-    uniforms: { exposure: { value: 0 }, falseColour: { value: false } },
+    uniforms: { exposure: { value: 0 }, tone: { value: 0 }, falseColour: { value: false } },
     vertexShader: /* glsl */ `
       attribute vec3 radiance;
       centroid varying vec3 shown;
@@ -21,11 +20,12 @@ const surface = () =>
       }`,
     fragmentShader: /* glsl */ `
       uniform float exposure;
+      uniform int tone;
       uniform bool falseColour;
       centroid varying vec3 shown; // not extrapolated at the edges of triangles
       ${DISPLAY}
       void main() {
-        gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(filmic(shown * exp2(exposure))), 1.0);
+        gl_FragColor = vec4(falseColour ? ramp(shown.r) : srgb(toned(shown * exp2(exposure), tone)), 1.0);
       }`,
   });
 
@@ -75,25 +75,6 @@ const surroundings = () =>
         gl_FragColor = vec4(0.45 * textureLod(picture, place, 0.0).rgb + noise / 255.0, 1.0);
       }`,
   });
-
-/** Positions, normals and albedo of a mesh as flat arrays, vertices as they are in the file. */
-export async function loadMesh(url) {
-  let scene;
-  try {
-    ({ scene } = await new GLTFLoader().loadAsync(url));
-  } catch (fault) {
-    throw new Error(`${url} could not be read as a mesh (${fault.message ?? fault})`, { cause: fault });
-  }
-  let geometry;
-  scene.traverse((node) => (geometry ??= node.geometry));
-  if (!geometry) throw new Error(`${url} holds no mesh`);
-  return {
-    geometry,
-    vertices: geometry.attributes.position.count,
-    normals: geometry.attributes.normal.array,
-    albedo: geometry.attributes.color.array,
-  };
-}
 
 export class View {
   constructor(canvas, geometry, { camera, closed }) {
