@@ -283,15 +283,15 @@ def test_the_inside_of_a_closed_surface_is_not_recorded(tmp_path):
 
 
 def test_a_scene_file_takes_what_its_meshes_say_unless_it_says_more(tmp_path):
-    save_sheet(tmp_path / "a.glb", [{**metal((0.9, 0.8, 0.4), 1, 0.5), "doubleSided": True}])
+    save_sheet(tmp_path / "a.glb", [{**metal((0.8, 0.7, 0.4), 1, 0.5), "doubleSided": True}])
     lines = ["", 'material = "file"', "albedo = 0.25", 'albedo = "file"\ngloss = "ggx:0.3,0.04"\ntwo_sided = false']
     text(tmp_path, "scene.toml", "".join(f'[[object]]\nmesh = "a.glb"\n{line}\n' for line in lines))
     plain, whole, grey, varnished = load(tmp_path / "scene.toml").objects
-    assert plain.albedo[0].tolist() == pytest.approx([0.9, 0.8, 0.4])
+    assert plain.albedo[0].tolist() == pytest.approx([0.8, 0.7, 0.4])
     assert plain.two_sided.all()
-    assert [brdf.spec for brdf in whole.material.glosses] == ["ggx:0.25,0.9"]
+    assert [brdf.spec for brdf in whole.material.glosses] == ["ggx:0.25,0.8"]
     assert grey.albedo[0].tolist() == [0.25]
-    assert varnished.albedo[0].tolist() == pytest.approx([0.9, 0.8, 0.4])
+    assert varnished.albedo[0].tolist() == pytest.approx([0.8, 0.7, 0.4])
     assert [brdf.spec for brdf in varnished.material.glosses] == ["ggx:0.3,0.04"]
     assert not varnished.two_sided.any()
 
