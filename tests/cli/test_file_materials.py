@@ -48,5 +48,5 @@ def test_the_gloss_of_the_file_is_baked_if_asked_for(done, vase, tmp_path):
     kept = tmp_path / "a.safetensors"
     options = ["--rays", 16, "--bounces", 0, "--order", 3, "--output-order", 5]
     said = done("bake", vase, "-o", kept, *options, "--material", "file")
-    assert "Gloss of the file: 2 different ones of GGX." in said
+    assert "Gloss of the file: 2 kinds of GGX." in said
     assert load(kept).layers.keys() == {"diffuse", "exit"}
