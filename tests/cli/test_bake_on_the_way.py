@@ -138,4 +138,5 @@ def test_a_scene_file_is_baked_and_rendered(done, folder, tmp_path):
     said = done("bake", tmp_path / "scene.toml", "-o", tmp_path / "a.safetensors", "--rays", 16)
     assert "ground (ground)" in said
     assert "3 channels" in said
-    done("info", tmp_path / "scene.toml")
+    assert "ground (ground)" in done("info", tmp_path / "scene.toml")
+    assert "of the receivers are ground" in done("info", tmp_path / "a.safetensors")

@@ -81,6 +81,14 @@ def test_a_page_takes_its_title_from_the_file_and_its_lights_from_the_samples(do
     assert len(about["environments"]) == len(BUILT_IN)
 
 
+def test_a_page_offers_those_that_are_named(done, folder, tmp_path, no_npm, untyped):
+    done(
+        "export", folder / "ball.safetensors", "-o", tmp_path / "page", "--web", "--light", "sunset", "--light", "white"
+    )
+    about = json.loads((tmp_path / "page" / "scene.json").read_text())
+    assert [each["name"] for each in about["environments"]] == ["sunset", "white"]
+
+
 def test_transfer_leaves_as_attributes(done, folder, tmp_path):
     said = done("export", folder / "ball.safetensors", "-o", tmp_path / "a.glb", "--order", 2)
     assert "order 2 in _PRT_n" in said

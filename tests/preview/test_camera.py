@@ -122,3 +122,33 @@ def test_straight_from_above_minus_z_is_up_in_the_picture():
     x, y, _ = seen_at(frame(points, (0.0, 1.0, 0.0)), points, 4 / 3)
     assert int(y.argmax()) == 0
     assert int(x.argmax()) == 1
+
+
+# Where it is told to stand
+
+
+@pytest.mark.parametrize("distance", [0.0, -1.0, math.inf, math.nan])
+def test_refuses_to_stand_nowhere(distance):
+    with pytest.raises(InputError, match=f"distance is {distance}"):
+        frame(torch.rand(5, 3), distance=distance)
+
+
+def test_refuses_to_look_at_no_point():
+    with pytest.raises(InputError, match="target is"):
+        frame(torch.rand(5, 3), target=(0.0, math.nan, 0.0))
+
+
+def test_it_looks_at_its_target_from_its_distance():
+    camera = frame(torch.rand(5, 3), (0.0, 3.0, 4.0), target=(1.0, 2.0, 3.0), distance=10.0, field=20.0)
+    assert camera.target == (1.0, 2.0, 3.0)
+    assert camera.eye == pytest.approx((1.0, 8.0, 11.0))
+    assert camera.field == 20.0
+
+
+@pytest.mark.parametrize("target", [(0.0, 0.0, 0.0), (2.0, -1.0, 0.5)])
+def test_a_target_beside_the_model_still_leaves_all_of_it_in_the_picture(target):
+    points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    camera = frame(points, target=target, aspect=1.5, field=50.0)
+    x, y, ahead = seen_at(camera, points, 1.5)
+    assert bool((ahead > 0).all())
+    assert float(torch.maximum(x.abs(), y.abs()).max()) <= 1

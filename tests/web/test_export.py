@@ -101,7 +101,9 @@ def test_refuses_a_folder_that_holds_something_else(make_transfer, tmp_path):
 def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     transfer = make_transfer()
     transfer.normals[3] = 0
-    report = export(transfer, tmp_path / "new" / "page", environments=lamps, title='Quotes " & <tags>', exact=True, check=False)
+    report = export(
+        transfer, tmp_path / "new" / "page", environments=lamps, title='Quotes " & <tags>', exact=True, check=False
+    )
     folder = report.folder
     assert report.bytes == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     assert report.environments == ("Room",)
@@ -161,10 +163,7 @@ def test_a_compressed_bake_is_shown_beside_the_full_one_or_alone(make_transfer, 
     assert about(tmp_path / "alone")["bytes"] == packed.bytes
     light = np.ones((1, 16, 3), np.float32)
     feed = {"light": light, "rotation": np.eye(3, dtype=np.float32)[None]}
-    runs = [
-        session_of(tmp_path / name).run(None, feed)[0]
-        for name in ("both/compressed.onnx", "alone/model.onnx")
-    ]
+    runs = [session_of(tmp_path / name).run(None, feed)[0] for name in ("both/compressed.onnx", "alone/model.onnx")]
     np.testing.assert_array_equal(*runs)
 
 

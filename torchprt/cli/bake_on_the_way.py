@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchprt.cli import bake_options, options
+from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
 
@@ -56,5 +57,6 @@ class Source:
         """The bake, made if it was not."""
         if self.made is None:
             assert self.scene is not None
+            say(self.scene)
             self.made = bake_options.baked(self.scene, self._keep, **self._arguments)
         return self.made

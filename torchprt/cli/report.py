@@ -61,6 +61,9 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    ground = int(transfer.receivers.ground().sum())
+    if ground:
+        lines[0] += f"; {ground} of the receivers are ground"
     lines += _sight(transfer)
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)

@@ -11,7 +11,7 @@ from torchprt.errors import InputError
 from torchprt.preview.asset import keep_attributes
 from torchprt.preview.asset_source import Asset
 from torchprt.preview.glb import save_glb
-from torchprt.shade import shader
+from torchprt.shade.shader import shader
 from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
 

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.files import atomic
-from torchprt.shade import display
-from torchprt.shade.display import TONE, ToneMap, check_tone, tone_mapped
+from torchprt.shade.display import TONE, ToneMap, check_tone, display, tone_mapped
 
 
 def tone_map(name: str) -> ToneMap:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt import sh
-from torchprt.light import dominant
+from torchprt.light.dominant import dominant
 from torchprt.transfer import Transfer
 
 

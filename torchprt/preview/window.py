@@ -123,9 +123,11 @@ class Window:
 
     def run(self) -> None:
         """Until the window is closed."""
+        going = self.step()
+        # When there is something to be seen that the keys change.
         self.say("\n".join(f"{key:20} {what}" for key, what in HELP))
-        while self.step():
-            pass
+        while going:
+            going = self.step()
 
     def step(self) -> bool:
         """One round: what has happened, what it changes, what is drawn. False once the window is closed."""

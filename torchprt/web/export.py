@@ -72,7 +72,7 @@ class PageReport:
         if self.packed is None:
             return ""
         return (
-            f"weights in 16 bits and fewer: radiance is off by {self.packed.relative_rms:.1e} of its RMS in the worst of "
+            f"weights in 16 bits or less: radiance is off by {self.packed.relative_rms:.1e} of its RMS in the worst of "
             f"{self.packed.cases} lights; places by {self.places:.1e} at most (--exact keeps float32)"
         )
 

@@ -1,4 +1,4 @@
-"""Weights of a graph in 16 bits and fewer, which it unpacks itself: what a page downloads is half or a third as large."""
+"""Weights of a graph in 16 bits and fewer, which it unpacks itself: a page is half or a third of the download."""
 
 from __future__ import annotations
 
