@@ -97,6 +97,19 @@ def turning() -> Tensor:
     return preview.sheet(pictures, labels, columns=3)
 
 
+def painted() -> Tensor:
+    """The painted vase on a ground under three lights: one bake, one product a picture."""
+    transfer = bake(samples.painted_vase(160, polished=True).on_ground(0.0, (0.42, 0.4, 0.37)), bounces=2)
+    shade, size = shader(transfer), (420, 520)
+    camera = preview.frame(transfer.receivers.subject, (0.35, 0.38, 1.0), aspect=size[0] / size[1])
+    pictures = []
+    for name, yaw in (("studio", 0.0), ("sunset", 60.0), ("overcast", 0.0)):
+        environment = preview.built_in_environment(name, transfer.order)
+        turn = sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0])).float()
+        pictures.append(preview.Studio(transfer, shade, environment, size=size).picture(camera, turn))
+    return preview.strip(pictures, 3)
+
+
 def transport() -> Tensor:
     """The stage unshadowed, shadowed and interreflected."""
     lamps = light.project(light.studio(256), 5)
@@ -458,6 +471,7 @@ def window() -> Tensor:
 
 PICTURES = {
     "turning": turning,
+    "painted": painted,
     "transport": transport,
     "bleeding": demo.bleeding,
     "orders": demo.orders,

@@ -225,3 +225,11 @@ def test_the_picture_of_the_vase_meets_itself():
 def test_a_vase_goes_to_a_glb_only(tmp_path):
     with pytest.raises(InputError, match=r"must end in \.glb"):
         write_painted_vase(tmp_path / "vase.ply", 24)
+
+
+def test_only_the_gold_of_the_vase_is_polished():
+    geometry = painted_vase(16, polished=True).geometry()
+    assert [brdf.spec for brdf in geometry.gloss] == ["ggx:0.2"]
+    assert 0 < len(geometry.glossy) < geometry.receivers / 2
+    assert not geometry.albedo[geometry.glossy].any()
+    assert geometry.specular.unique(dim=0).tolist() == [pytest.approx([1.0, 0.766, 0.336])]
