@@ -6,7 +6,17 @@ import torch
 import trimesh
 
 from torchprt.errors import InputError
-from torchprt.scene.samples import coloured_box, dish, organic, plane_and_blocker, teapot
+from torchprt.scene import load
+from torchprt.scene.samples import (
+    coloured_box,
+    dish,
+    organic,
+    painted_vase,
+    plane_and_blocker,
+    teapot,
+    vase_picture,
+    write_painted_vase,
+)
 from torchprt.scene.samples.surface_nets import surface_nets
 
 
@@ -18,6 +28,7 @@ from torchprt.scene.samples.surface_nets import surface_nets
         lambda: coloured_box(3),
         lambda: teapot(7999),
         lambda: dish(15),
+        lambda: painted_vase(15),
     ],
 )
 def test_refuses_too_little_detail(make):
@@ -185,3 +196,40 @@ def test_the_knob_of_the_dish_shades_its_inside(plate):
     way = np.array([[0.0, 0.33, 0.0]]) - floor
     assert peer.ray.intersects_any(floor, way).all()
     assert not peer.ray.intersects_any(floor, np.tile([0.0, 1, 0], (2, 1))).any()
+
+
+def test_the_painted_vase_is_the_same_from_its_file(tmp_path):
+    here = painted_vase(24).objects[0]
+    write_painted_vase(tmp_path / "vase.glb", 24)
+    there = load(tmp_path / "vase.glb").objects[0]
+    assert here.mesh.report.watertight
+    assert there.mesh.report.watertight
+    # Vertices at the seam and at the gold are repeated: each is compared with the one at its place.
+    place = torch.cdist(there.mesh.positions, here.mesh.positions).argmin(1)
+    assert float((there.mesh.positions - here.mesh.positions[place]).norm(dim=1).max()) < 1e-6
+    difference = (there.albedo - here.albedo[place]).abs().amax(1)
+    # Where porcelain meets gold, one mesh has one colour and the other two.
+    assert float((difference < 1 / 255).float().mean()) > 0.9
+    said = str(load(tmp_path / "vase.glb"))
+    assert "textures of 'porcelain', base colour of 'gold'" in said
+
+
+def test_the_picture_of_the_vase_meets_itself():
+    picture = vase_picture(256)
+    assert picture.shape == (256, 256, 3)
+    across = np.abs(picture[:, 0].astype(int) - picture[:, -1])
+    inside = np.abs(np.diff(picture.astype(int), axis=1)).max(axis=1)
+    assert (across <= inside + 1).all()
+
+
+def test_a_vase_goes_to_a_glb_only(tmp_path):
+    with pytest.raises(InputError, match=r"must end in \.glb"):
+        write_painted_vase(tmp_path / "vase.ply", 24)
+
+
+def test_only_the_gold_of_the_vase_is_polished():
+    geometry = painted_vase(16, polished=True).geometry()
+    assert [brdf.spec for brdf in geometry.gloss] == ["ggx:0.2"]
+    assert 0 < len(geometry.glossy) < geometry.receivers / 2
+    assert not geometry.albedo[geometry.glossy].any()
+    assert geometry.specular.unique(dim=0).tolist() == [pytest.approx([1.0, 0.766, 0.336])]

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from torchprt.errors import InputError
+from torchprt.words import count
 
 from .energy import EnergyWarning, reflected
 from .glosses import few_glosses
@@ -24,7 +25,7 @@ from .surface import Surface, read_surface
 Source = str | os.PathLike[str] | Mesh
 """A mesh, or the name of the file that holds it."""
 
-BRIGHT = 0.95
+BRIGHT = 0.9
 """Nothing outdoors has a higher albedo than fresh snow."""
 
 
@@ -101,12 +102,9 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
     body, said = _shares(look.diffuse + (0 if gloss else look.metal))
     if said:
         notes.append(f"Colours {said}.")
-    if float(body.max(initial=0)) > BRIGHT:
-        count = int((body.max(axis=1) > BRIGHT).sum())
-        notes.append(
-            f"Albedo reaches {body.max():.3g}, at {count} vertices above {BRIGHT:g}: light that "
-            "bounces there dies slowly."
-        )
+    mean = float(body.max(axis=1).mean())
+    if mean > BRIGHT:
+        notes.append(f"Albedo is {mean:.2g} in the mean: light that bounces dies slowly.")
     two_sided = surface.two_sided
     if not gloss:
         return Material(torch.from_numpy(body).float(), two_sided, notes=tuple(notes))
@@ -121,8 +119,7 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
         weight[here] = np.clip(reflectance[here] / brdf.f0, 0, 1)  # type: ignore[attr-defined]
         body[here] *= 1 - weight[here] * reflected(brdf).mean
     rounded = f", roughness rounded by up to {change:.2g}" if change > 5e-4 else ""
-    count = len(glosses.models)
-    notes.append(f"Gloss of the file: {count} different {'one' if count == 1 else 'ones'} of GGX{rounded}.")
+    notes.append(f"Gloss of the file: {count(len(glosses.models), 'kind')} of GGX{rounded}.")
     arguments: dict[str, Any] = {"albedo": torch.from_numpy(body).float(), "two_sided": two_sided}
     with warnings.catch_warnings(record=True) as caught:
         # The Lambertian body lacks the 1 - F toward grazing views, of which the file knows; it is said, once.
@@ -143,13 +140,15 @@ def _quietly(material: Material, **changes: Any) -> Material:
 def _shares(values: np.ndarray) -> tuple[np.ndarray, str]:
     """Values within [0, 1], and in words which were not."""
     finite = np.isfinite(values)
-    outside = (finite & ((values < -1e-4) | (values > 1 + 1e-4))).any(axis=1)
+    outside = finite & ((values < -1e-4) | (values > 1 + 1e-4))
     words = []
     if outside.any():
         low, high = values[finite].min(), values[finite].max()
-        words.append(f"of {outside.sum()} vertices, from {low:.3g} to {high:.3g}, are taken as within 0 and 1")
+        where = count(int(outside.any(axis=1).sum()), "vertex")
+        words.append(f"of {where}, from {low:.3g} to {high:.3g}, are taken as within 0 and 1")
     if not finite.all():
-        words.append(f"of {(~finite).any(axis=1).sum()} vertices are not finite and taken as .5")
+        where = count(int((~finite).any(axis=1).sum()), "vertex")
+        words.append(f"of {where} that are not finite are taken as .5")
     return np.clip(np.where(finite, values, 0.5), 0, 1), " and ".join(words)
 
 
@@ -180,7 +179,11 @@ def _notes(surface: Surface, said: Iterable[str], gloss: bool) -> list[str]:
     metals = [paint.name for paint in used if paint.metallic > 0 and paint.gloss_map is None]
     if metals and taken and not gloss:
         notes.append(f"Metal is taken as diffuse, of its base colour: {listed(metals)}.")
-    notes += [f"'{paint.name}' {note}." for paint in used for note in paint.notes]
+    decided: dict[str, list[str]] = defaultdict(list)
+    for paint in used:
+        for note in paint.notes:
+            decided[note].append(paint.name)
+    notes += [f"{note}: {listed(names)}." for note, names in decided.items()]
     notes += [note if note.endswith(".") else f"{note}." for note in said]
     notes += _sides(surface, used)
     return notes
@@ -192,4 +195,4 @@ def _sides(surface: Surface, used: Iterable[Paint]) -> list[str]:
         return []
     if bool(surface.two_sided.any()):
         return [f"Both sides of {listed(double)} receive light."]
-    return [f"{listed(double)} has two sides, of a closed surface: the outer one receives light."]
+    return [f"Double-sided, of a closed surface, whose outer side alone receives light: {listed(double)}."]

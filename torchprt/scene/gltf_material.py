@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from torchprt.errors import InputError
 
 from .gltf_document import Document
-from .paint import Colour, Paint
+from .paint import NONE, Colour, Paint
 from .texture import Map, Picture
 
 CLAMP, MIRROR, NEAREST = 33071, 33648, 9728
@@ -45,7 +45,7 @@ def gltf_paints(document: Document) -> tuple[Paint, ...]:
     entries = document.all("materials")
     found = [_paint(document, entry, entry.get("name") or f"material {n}") for n, entry in enumerate(entries)]
     # Section 3.7.2.1: without a material all properties have their defaults, of which a white metal is meant by none.
-    return (*found, Paint("no material"))
+    return (*found, NONE)
 
 
 def _paint(document: Document, entry: Mapping[str, Any], name: str) -> Paint:
@@ -69,7 +69,7 @@ def _paint(document: Document, entry: Mapping[str, Any], name: str) -> Paint:
         reflectance = _reflectance(more)
     if "KHR_materials_unlit" in more:
         metallic, roughness, gloss_map, reflectance = 0.0, 1.0, None, (0.0, 0.0, 0.0)
-        notes.append("is unlit, whose colour is taken as albedo")
+        notes.append("Unlit, the colour is taken as albedo")
     alpha = entry.get("alphaMode", "OPAQUE")
     if alpha != "OPAQUE":
         left.append("transparency" if alpha == "BLEND" else "cut-out holes")

@@ -64,6 +64,8 @@ class Material:
         if self.gloss is None and not bool((weight == 1).all()):
             raise InputError('specular is given without gloss: give a gloss too, as "ggx:0.3,0.04"')
         if isinstance(self.albedo, str):
+            if self.albedo == "file":
+                raise InputError('albedo "file" is what a mesh file says: give it to load, or use read_surface')
             if self.albedo != "vertex":
                 raise InputError(
                     f'albedo {self.albedo!r} is not known: give numbers, or "vertex" for the colours of the mesh'

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from .paint import Colour, Paint
+from .paint import NONE, Colour, Paint
 from .texture import Map, Picture
 
 OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-texres": 1, "-clamp": 1, "-bm": 1, "-imfchan": 1}
@@ -50,13 +51,13 @@ def mtl_paints(source: Path, libraries: Sequence[str], names: Sequence[str]) -> 
         try:
             text = path.read_text(encoding="utf-8", errors="replace")
         except OSError as fault:
-            missing.append(f"has {path.name}, its library, not beside it ({fault.strerror})")
+            missing.append(f"The library {path.name} cannot be read ({fault.strerror})")
             continue
         for name, lines in _blocks(text):
             # The first of a name counts, as in what most programs do.
             found.setdefault(name, _paint(path, name, lines))
-    lost = missing[0] if missing else "is in none of the libraries that the file names"
-    return tuple(found.get(name, Paint(name, notes=(lost,))) for name in names)
+    lost = missing[0] if missing else "In none of the libraries that the file names"
+    return tuple(found.get(name, replace(NONE, name=name, notes=(lost,))) for name in names)
 
 
 def _blocks(text: str) -> list[tuple[str, list[list[str]]]]:
@@ -88,7 +89,7 @@ def _paint(source: Path, name: str, lines: list[list[str]]) -> Paint:
         try:
             values = [float(word) for word in words[:3]]
         except ValueError:
-            notes.append(f"has {' '.join([key, *words])}, which is no RGB and is left out")
+            notes.append(f"{' '.join([key, *words])} is no RGB and is left out")
             return None
         if not values or not all(math.isfinite(value) for value in values):
             return None
@@ -97,7 +98,7 @@ def _paint(source: Path, name: str, lines: list[list[str]]) -> Paint:
     diffuse, specular = colour("kd"), colour("ks")
     colour_map = _map(source, entries["map_kd"]) if entries.get("map_kd") else None
     if colour_map is not None and diffuse == (0, 0, 0):
-        notes.append("has a black Kd beside its map, which is taken as white")
+        notes.append("A black Kd beside a map is taken as white")
         diffuse = None
     roughness, metallic, model = number("pr"), number("pm"), number("illum")
     reflectance: Colour = (0.0, 0.0, 0.0)

@@ -35,7 +35,7 @@ class Paint:
     left: tuple[str, ...] = ()
     """What it has besides, and no bake takes."""
     notes: tuple[str, ...] = ()
-    """What had to be decided, in sentences."""
+    """What had to be decided, in words that its name can follow behind a colon."""
 
     @property
     def coloured(self) -> bool:
@@ -46,6 +46,10 @@ class Paint:
     def glossy(self) -> bool:
         """Whether it reflects otherwise than diffusely."""
         return self.metallic > 0 or any(self.reflectance)
+
+
+NONE = Paint("no material", reflectance=(0.0, 0.0, 0.0))
+"""Of faces that name none."""
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:

@@ -22,7 +22,7 @@ from .gltf_material import gltf_paints
 from .mesh import Mesh, make_mesh
 from .mtl import mtl_paints, picture_map
 from .obj import parse_obj
-from .paint import Paint
+from .paint import NONE, Paint
 from .texture import srgb_to_linear
 from .usd import read_usd
 
@@ -229,7 +229,7 @@ def _ply_materials(raw: Raw, data: bytes, source: Path) -> Raw:
     left += ["vertex colours"] if raw.colours is not None else []
     picture = picture_map(source.parent / named[0])
     paint = Paint(named[0], colour_map=picture, reflectance=(0.0, 0.0, 0.0), left=tuple(left))
-    return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, Paint("no material")))
+    return raw._replace(materials=np.zeros(len(raw.faces), np.int64), paints=lambda: (paint, NONE))
 
 
 def _refuse_short_ply(data: bytes, source: Path) -> None:
@@ -281,7 +281,7 @@ def _read_obj(data: bytes, source: Path) -> list[Raw]:
     parsed = parse_obj(data, source)
 
     def paints() -> tuple[Paint, ...]:
-        return (*mtl_paints(source, parsed.libraries, parsed.names), Paint("no material"))
+        return (*mtl_paints(source, parsed.libraries, parsed.names), NONE)
 
     raw = Raw(*parsed[:5], materials=parsed.materials, tint=parsed.colours)
     return [raw if parsed.materials is None else raw._replace(paints=paints)]

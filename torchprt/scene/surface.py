@@ -16,7 +16,7 @@ from torchprt.errors import InputError
 
 from .footprint import surface_means
 from .mesh import Mesh
-from .paint import Paint
+from .paint import NONE, Paint
 from .reading import Raw, read_paints, read_raw
 from .texture import WRAPS, Map, Picture, Texture
 from .weld import weld
@@ -99,7 +99,7 @@ class Surface:
         group = self._groups()
         count = int(group.max(initial=-1)) + 1
         total, notes = np.zeros((count, WIDTH)), []
-        for number, paint in enumerate(self.paints or (Paint("no material"),)):
+        for number, paint in enumerate(self.paints or (NONE,)):
             some = np.flatnonzero(self.paint_of_face == number)
             if len(some):
                 sums, said = _sums(paint, group[faces[some]], areas[some], count, self.raw, some, gloss)

@@ -5,11 +5,14 @@ import math
 import os
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float32, UInt8
 
+from torchprt.brdf import GGX
 from torchprt.errors import InputError
 from torchprt.files import atomic
 
+from ..glosses import Glosses
 from ..material import Material
 from ..mesh import Mesh, make_mesh
 from ..object import Object
@@ -33,11 +36,12 @@ AROUND = 0.85
 """How far the belly is around, in units of v: what keeps motifs in shape."""
 
 
-def painted_vase(resolution: int = 128) -> Scene:
+def painted_vase(resolution: int = 128, polished: bool = False) -> Scene:
     """The shape of `vase`, of porcelain painted in cobalt and coral, its foot and lip gilded.
 
     2 `resolution` columns around, and rows of the same size on its outside. The colours of its vertices are means of
-    `vase_picture` over the surface around each. `write_painted_vase` writes it as a .glb of two materials.
+    `vase_picture` over the surface around each. `write_painted_vase` writes it as a .glb of two materials. The gold is
+    diffuse, or if `polished` of a glossy metal, which the porcelain is not.
 
     Raises InputError if `resolution` is below 16.
     """
@@ -45,8 +49,14 @@ def painted_vase(resolution: int = 128) -> Scene:
     albedo = texture_albedo(mesh, vase_picture())
     gold = np.zeros(len(mesh.positions), dtype=bool)
     gold[mesh.faces.numpy()[gilded(mesh)]] = True
-    albedo[gold] = albedo.new_tensor(GOLD)
-    return Scene([Object(mesh, Material(albedo))])
+    if not polished:
+        albedo[gold] = albedo.new_tensor(GOLD)
+        return Scene([Object(mesh, Material(albedo))])
+    albedo[gold] = 0.0
+    weight = torch.ones_like(albedo)
+    weight[gold] = weight.new_tensor(GOLD)
+    polish = Glosses((GGX(0.2),), torch.from_numpy(gold.astype(np.int64) - 1))
+    return Scene([Object(mesh, Material(albedo, gloss=polish, specular=weight))])
 
 
 def _mesh(resolution: int) -> Mesh:
@@ -166,7 +176,7 @@ def _coral(u: Float32[np.ndarray, "H W"], v: Float32[np.ndarray, "H W"]) -> Floa
     parts = []
     for phase, side in ((0.25, 1), (0.75, -1)):
         x, y = _cell(u - (phase - 0.5) / 6, 6) * (AROUND / 6), (v - BELLY) * side
-        for dx, dy in ((0.0, 0.062), (-0.024, 0.053), (0.024, 0.053)):
+        for dx, dy in ((0.0, 0.056), (-0.024, 0.048), (0.024, 0.048)):
             parts.append(np.hypot(x - dx, y - dy) - 0.0095)
     x, y = _cell(u, 20) * (AROUND / 20), v - 0.3675
     parts.append(np.hypot(x / 0.8, y) - 0.0095)
@@ -188,6 +198,6 @@ def _leaf(
     x: Float32[np.ndarray, "H W"], y: Float32[np.ndarray, "H W"], lean: float, length: float, width: float
 ) -> Float32[np.ndarray, "H W"]:
     """A pointed leaf around the origin, `length` and `width` half its extents, leaning to the right."""
-    cosine, sine = np.cos(lean), np.sin(lean)
+    cosine, sine = math.cos(lean), math.sin(lean)
     along, across = x * sine + y * cosine, x * cosine - y * sine
     return np.abs(across) - width * (1 - np.clip((along / length) ** 2, 0, 4))
