@@ -47,7 +47,7 @@ class Views:
 
 @dataclass
 class Viewer:
-    """Looks from the receivers of a scene: which are `used` by a face, `reverse` sides, the `size [V]` of their faces."""
+    """Looks from the receivers of a scene: which are `used` by a face, `reverse` sides, the `size` of their faces."""
 
     geometry: Geometry
     tracer: Tracer
