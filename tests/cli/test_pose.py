@@ -81,7 +81,7 @@ def test_refuses_a_pose_of_a_bake_that_cannot_deform(refused, folder, poses, tmp
         ("coarse.ply", ["coarse.ply has 42 vertices but the bake 162"]),
         ("other.ply", ["other.ply has other faces than the bake"]),
         ("none.ply", ["none.ply does not exist"]),
-        ("light.npy", ["light.npy is not a mesh file"]),
+        ("light.npy", ["light.npy is an array, not a mesh"]),
     ],
 )
 def test_refuses_a_mesh_that_is_not_the_baked_one(refused, poses, tmp_path, mesh, words):
