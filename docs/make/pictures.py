@@ -81,14 +81,16 @@ def shaded(transfer: Transfer, lamps: Tensor) -> Tensor:
 
 def painted() -> Tensor:
     """The painted vase on a ground under three lights: one bake, one product a picture."""
-    transfer = bake(samples.painted_vase(160, polished=True).on_ground(0.0, (0.42, 0.4, 0.37)), bounces=2)
-    shade, size = shader(transfer), (420, 520)
-    camera = preview.frame(transfer.receivers.subject, (0.35, 0.38, 1.0), aspect=size[0] / size[1])
+    vase = samples.painted_vase(160, polished=True).on_ground(0.0, (0.42, 0.4, 0.37))
+    transfer = bake(vase, rays=1024, bounces=2, progress=False)
+    shade, size = shader(transfer), (420, 500)
+    # A little farther than would just hold it.
+    camera = preview.frame(1.1 * transfer.receivers.subject, (0.25, 0.4, 1.0), aspect=size[0] / size[1], field=28.0)
     pictures = []
-    for name, yaw in (("studio", 0.0), ("sunset", 60.0), ("overcast", 0.0)):
-        environment = preview.built_in_environment(name, transfer.order)
+    for name, yaw in (("sunset", 300.0), ("sky", 60.0), ("studio", 180.0)):
+        seen = preview.built_in_environment(name, transfer.order)
         turn = sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0])).float()
-        pictures.append(preview.Studio(transfer, shade, environment, size=size).picture(camera, turn))
+        pictures.append(preview.Studio(transfer, shade, seen, size=size, samples=16).picture(camera, turn))
     return preview.strip(pictures, 3)
 
 
