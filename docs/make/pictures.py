@@ -175,7 +175,7 @@ def streaks() -> Tensor:
     lamp = light.disc((1.0, 0.9, -0.45), math.radians(15), (1.0, 0.85, 0.6), order, normalise=True)
     pictures = []
     for material in materials.values():
-        transfer = bake(samples.dish(88, material), order=order, rays=512, progress=False)
+        transfer = bake(samples.dish(120, material), order=order, rays=512, progress=False)
         camera = preview.frame(transfer.positions, (0.0, 1.0, 0.45), aspect=size[0] / size[1], field=25.0)
         still = preview.Still(transfer.positions, transfer.faces, size=size, camera=camera, samples=9)
         radiance = seen_from(transfer, windowed(lamp, order), camera)
