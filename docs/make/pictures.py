@@ -384,7 +384,7 @@ def transfer_functions() -> Tensor:
     camera = preview.frame(shape, (0.35, 0.45, 1.0), aspect=1.0)
     vertex = place_of(shadowed, camera, 0.30, 0.92)
     lamps = light.project(light.studio(256), 5)
-    colours = display(0.6 * shaded(bounced, lamps), exposure=EXPOSURE)
+    colours = display(0.9 * shaded(bounced, lamps), exposure=EXPOSURE)
     named = {"unshadowed": plain, "shadowed": shadowed, "interreflected": bounced}
     lobes = [with_lobe(each, vertex, colours, camera, size, 2.2) for each in named.values()]
     # The frame of the picture: up is away from the camera, as far as the surface allows.
@@ -442,7 +442,6 @@ def window() -> Tensor:
     session.turn_camera(0.2, -0.05)
     session.turn_light(-1.1, 0.25)
     session.zoom(4)
-    session.expose(-0.8)
     camera = preview.frame(stage().objects[0].mesh.positions, (0.35, 0.45, 1.0), aspect=1.0)
     session.picked = place_of(staged(0), camera, 0.30, 0.92)
     opened = Window(preview.check_window(), session, (900, 640), "torchprt", FOLDER, print)
