@@ -184,6 +184,18 @@ def test_a_soup_of_triangles_is_filled_over_its_seams():
     assert float(constant(made)[: len(soup.positions)].min()) > 0.2
 
 
+@pytest.mark.parametrize(("side", "filled"), [(0.16, 9), (0.66, 0)])
+def test_a_few_that_see_nothing_are_a_speck_and_many_a_cave(side, filled):
+    """A plate just over a floor, which shows it its front: nothing but their number speaks against those below."""
+    floor = Object(square(2.0, 41))
+    plate = Object(square(side, 5, height=1e-4, up=False), role="blocker")
+    made, raw = (quiet(Scene([floor, plate]), rays=128, raw=raw) for raw in (False, True))
+    below = constant(raw) == 0
+    assert int(below.sum()) == (9 if filled else 169)
+    assert count(made).get(Sight.FILLED, 0) == filled
+    assert int((constant(made) == 0).sum()) == (0 if filled else 169)
+
+
 # Buried.
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchprt.scene import Geometry
@@ -20,6 +23,8 @@ from torchprt.transport.views import LOST, Viewer, Views
 # A receiver that sees less than this part of the median of its neighbours is lost if anything else speaks for it:
 # this share of odd rays, or of near ones, or a face whose back it looks at. The corner of a room has a half.
 DARKER, ODD, NEAR = 0.45, 0.02, 0.5
+# Receivers that see nothing and hang together, up to which they are a speck and not the floor of a cave.
+SPECK = 32
 # Steps off the surface tried for origins in front of all faces, in those of any other receiver.
 STEPS = (1.0, 8.0, 64.0)
 
@@ -32,6 +37,7 @@ def with_sight(geometry: Geometry, tracer: Tracer, receivers: Receivers) -> tupl
     - if a quarter of its rays end nearby on the back of its own piece of surface, or of a closed one (a fold);
     - if nearly all end within rounding of where they start (a flap that lies on it);
     - if none escapes and half of them meet backs (it is buried in another solid);
+    - if no ray escapes, nor from those around it, but these are few (a crack, two layers of a scan);
     - if it sees much less than its neighbours, and either some rays end on backs nearby, or half of them where they
       start, or it looks at the back of one of its faces (a pit, a fold that hangs over it).
     It is then *moved* along the direction that is in front of all of its faces, if it sees from there; else it is to
@@ -50,6 +56,7 @@ def with_sight(geometry: Geometry, tracer: Tracer, receivers: Receivers) -> tupl
     views = viewer.views(receivers, suspects, LOOK)
     doubtful = (views.odd >= ODD) | (views.near >= NEAR) | folded
     wrong = views.blind | _darker(viewer, receivers, suspects, views, doubtful & ~views.blind)
+    wrong |= _specks(geometry, suspects, (views.free == 0) & ~wrong)
     rows = suspects[wrong]
     moved, origins = _moved(viewer, receivers, rows, views.free[wrong])
     sight[rows] = int(Sight.FILLED)
@@ -76,6 +83,20 @@ def _darker(
     known = torch.zeros(len(receivers), dtype=torch.float64)
     known[rows] = views.free
     result[doubtful] = known[chosen] < DARKER * _medians(ring[:, 0], free[number], chosen)
+    return result
+
+
+def _specks(geometry: Geometry, rows: Tensor, dark: Bool[Tensor, "v"]) -> Bool[Tensor, "v"]:
+    """Which of the `dark` rows hang together with few others of them."""
+    result = torch.zeros(len(rows), dtype=torch.bool)
+    chosen = rows[dark]
+    number = torch.full((geometry.receivers,), -1)
+    number[chosen] = torch.arange(len(chosen))
+    pairs = number[_ring(geometry, chosen)]
+    one, other = pairs[(pairs >= 0).all(-1)].numpy().T
+    graph = coo_matrix((np.ones(len(one), bool), (one, other)), (len(chosen), len(chosen)))
+    _, piece = connected_components(graph, directed=False)
+    result[dark] = torch.from_numpy(np.bincount(piece, minlength=1)[piece] <= SPECK)
     return result
 
 
