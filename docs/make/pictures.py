@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
+from trimesh.creation import icosphere
 
 from torchprt import demo, light, preview, sh
 from torchprt.compression import compress
@@ -92,6 +93,37 @@ def painted() -> Tensor:
         turn = sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0])).float()
         pictures.append(preview.Studio(transfer, shade, seen, size=size, samples=16).picture(camera, turn))
     return preview.strip(pictures, 3)
+
+
+def crumpled() -> Mesh:
+    """A bumpy ball of which some vertices are pushed over a neighbour and some faces carry fins, as scans have them."""
+    ball = icosphere(subdivisions=4)
+    points, faces = torch.from_numpy(ball.vertices).double(), torch.from_numpy(ball.faces)
+    bumps = 1 + 0.08 * (3 * points[:, 0]).sin() * (3 * points[:, 1] + 1).sin() + 0.05 * (5 * points[:, 2]).sin()
+    places = points * bumps[:, None]
+    generator = torch.Generator().manual_seed(3)
+    chosen = torch.randperm(len(faces), generator=generator)[:70]
+    pushed, fins = faces[chosen[:50]].long(), faces[chosen[50:]].long()
+    moved = places.clone()
+    moved[pushed[:, 0]] += 1.7 * (places[pushed[:, 1]] - places[pushed[:, 0]]) - 0.02 * points[pushed[:, 0]]
+    tips = 1.05 * places[fins].mean(1)
+    number = torch.arange(len(tips)) + len(places)
+    a, b = fins[:, 0], fins[:, 1]
+    both = torch.cat([torch.stack([a, b, number], 1), torch.stack([b, a, number], 1)])
+    return make_mesh(torch.cat([moved, tips]), torch.cat([faces.long(), both]), name="crumpled ball")
+
+
+def sight() -> Tensor:
+    """A crumpled ball as its rays have it, mended, and which vertices were."""
+    scene, size = Scene([Object(crumpled(), Material(0.8))]), (320, 320)
+    raw, made = (bake(scene, rays=512, raw=raw, progress=False) for raw in (True, False))
+    seen = preview.built_in_environment("overcast", made.order)
+    camera = preview.frame(made.positions, (0.3, 0.35, 1.0), aspect=1.0)
+    pictures = []
+    for each, colours in ((raw, None), (made, None), (made, preview.sight_colours(made.receivers))):
+        studio = preview.Studio(each, shader(each), seen, size=size, samples=16, colours=colours)
+        pictures.append(studio.picture(camera, torch.eye(3)))
+    return preview.sheet(pictures, ["--raw", "as baked", "--show sight"], columns=3)
 
 
 def transport() -> Tensor:
@@ -454,6 +486,7 @@ def window() -> Tensor:
 
 PICTURES = {
     "painted": painted,
+    "sight": sight,
     "transport": transport,
     "bleeding": demo.bleeding,
     "orders": demo.orders,

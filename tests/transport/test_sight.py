@@ -173,6 +173,17 @@ def test_scale_and_place_do_not_matter(scale, moved):
     assert torch.equal(found.receivers.sight, wanted.receivers.sight)
 
 
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e6])
+def test_turned_normals_have_unit_length_on_slivers_and_small_meshes(scale):
+    """Two triangles in both windings, one of them 1e-18 as high as it is long."""
+    positions = scale * torch.tensor([[0.0, 0, 0], [1, 0, 0], [0.5, 1e-18, 0.2], [0.5, 1, 0]]).double()
+    faces = torch.tensor([[0, 1, 2], [1, 0, 2], [0, 1, 3], [1, 0, 3]])
+    made = quiet(Scene([Object(make_mesh(positions, faces))]))
+    assert (made.receivers.sight == Sight.TURNED).all()
+    assert float((torch.linalg.vector_norm(made.normals, dim=-1) - 1).abs().max()) < 4 * EPS
+    assert float(constant(made).min()) > 0.4
+
+
 def test_a_soup_of_triangles_is_filled_over_its_seams():
     """A buried floor whose triangles share no vertex: neighbours are those at the same place."""
     scene = standing()

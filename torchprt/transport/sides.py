@@ -36,7 +36,7 @@ def sides_of(geometry: Geometry, rows: Int[Tensor, "v"]) -> Sides:
     area = torch.linalg.vector_norm(
         torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), dim=-1
     )
-    inward = torch.nn.functional.normalize(corners.mean(1, keepdim=True) - corners, dim=-1)
+    inward = torch.nn.functional.normalize(corners.mean(1, keepdim=True) - corners, dim=-1, eps=1e-300)
     face, corner = torch.nonzero((number[faces] >= 0) & (normal != 0).any(-1, keepdim=True), as_tuple=True)
     return Sides(number[faces[face, corner]], normal[face], area[face], inward[face, corner])
 

@@ -32,20 +32,21 @@ def turned(viewer: Viewer, receivers: Receivers, sight: Tensor) -> tuple[Geometr
     each = _looking(viewer, receivers, row, sides.normal, sides.inward)
     free = viewer.look(each, row, LOOK).free
     # Of sides that see alike the largest; the front of a sheet of two sides is where most of its area faces.
-    size = sides.area / most(sides.row, sides.area, len(rows))[sides.row]
+    size = sides.area / most(sides.row, sides.area, len(rows)).clamp(min=1e-300)[sides.row]
     score = torch.where(_single(geometry)[row], free + 1e-4 * size, size)
     best = first_of_most(sides.row, score, len(rows))
     agree = ((sides.normal * sides.normal[best.clamp(min=0)][sides.row]).sum(-1) > CREASED).double()[:, None]
     none = torch.zeros(len(rows), 3, dtype=torch.float64)
-    normals = none.index_add(0, sides.row, agree * sides.area[:, None] * sides.normal)
-    normals = torch.nn.functional.normalize(normals, dim=-1)
+    normals = none.index_add(0, sides.row, agree * size[:, None] * sides.normal)
+    # Slivers have a direction too, as small as they are.
+    normals = torch.nn.functional.normalize(normals, dim=-1, eps=1e-300)
     count = none[:, :1].index_add(0, sides.row, agree).clamp(min=1)
     inward = none.index_add(0, sides.row, agree * sides.inward) / count
     turned = _looking(viewer, receivers, rows, normals, inward)
     after = viewer.look(turned, rows, LOOK).free
     before = viewer.views(receivers, rows, LOOK).free
     missing = (receivers.normals[rows] == 0).all(-1)
-    better = (best >= 0) & (missing | (after >= 2 * before.clamp(min=1 / LOOK)))
+    better = (best >= 0) & (normals != 0).any(-1) & (missing | (after >= 2 * before.clamp(min=1 / LOOK)))
     rows, turned, inward = rows[better], turned[better], inward[better]
     # The other side of a sheet looks the other way.
     front, back = geometry.receiver_of_vertex, geometry.back_receiver_of_vertex
