@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from torchprt.brdf.models import Brdf
 from torchprt.brdf.table_integrals import cell_integrals
 from torchprt.brdf.tabulated import Tabulated
 from torchprt.errors import InputError
+from torchprt.sh.constant import remembered
 
 Over = Literal["views", "lights"]
 Functions = Callable[[Tensor], Tensor]
@@ -59,7 +59,7 @@ def integrals(
     """
     if isinstance(brdf, Tabulated):
         return cell_integrals(brdf, fixed, family, order, views=over == "views")
-    table = _table(brdf.plain(), family, order, over)
+    table = _table(torch.device("cpu"), brdf.plain(), family, order, over)
     band = sh.bands(order)
     m = torch.arange(order * order) - band * (band + 1)
     opposite = band * (band + 1) - m
@@ -184,7 +184,7 @@ class _Table:
         return (held * series[:, self.waves]) @ self.functions
 
 
-@functools.lru_cache(maxsize=64)
+@remembered(64)
 def _table(brdf: Brdf, family: Family, order: int, over: Over) -> _Table:
 
     def at(steps: Tensor, azimuths: int, offset: float = 0.0) -> Tensor:
@@ -193,39 +193,36 @@ def _table(brdf: Brdf, family: Family, order: int, over: Over) -> _Table:
         phi = (torch.arange(azimuths, dtype=torch.float64) + offset) * (2 * math.pi / azimuths)
         return _turned_integrals(brdf, _LAST_ANGLE * steps * (2 - steps), phi, family, order, level, over)
 
-    with torch.inference_mode(False):
-        level = _settled(brdf, lambda directions: family(directions, order), over)
-        azimuths = 1
-        few = torch.linspace(0, 1, 9, dtype=torch.float64)
-        if not brdf.isotropic:
-            azimuths, values = 8, at(few, 8)
-            while True:
-                found = at(few, azimuths, 0.5)
-                # Trigonometric interpolation half way between the azimuths.
-                waves = torch.fft.rfft(values, dim=1)
-                shift = torch.polar(
-                    torch.tensor(1.0).double(), math.pi / azimuths * torch.arange(waves.shape[1]).double()
-                )
-                guess = torch.fft.irfft(waves * shift[:, None], n=azimuths, dim=1)
-                values = torch.stack([values, found], 2).flatten(1, 2)
-                if _agree(
-                    brdf, few, guess, found, TOLERANCE, azimuths >= _PATIENT_AZIMUTHS, azimuths > _LARGEST_TABLE // 8
-                ):
-                    break
-                azimuths *= 2
-        steps = torch.linspace(0, 1, 17, dtype=torch.float64)
-        values = at(steps, azimuths)
+    level = _settled(brdf, lambda directions: family(directions, order), over)
+    azimuths = 1
+    few = torch.linspace(0, 1, 9, dtype=torch.float64)
+    if not brdf.isotropic:
+        azimuths, values = 8, at(few, 8)
         while True:
-            between = (steps[1:] + steps[:-1]) / 2
-            found = at(between, azimuths)
-            guess = torch.from_numpy(_spline(steps, values)(between.numpy()))
-            steps, place = torch.cat([steps, between]).sort()
-            values = torch.cat([values, found])[place]
-            # With the points between, the error of a cubic spline falls to a sixteenth of what was found.
+            found = at(few, azimuths, 0.5)
+            # Trigonometric interpolation half way between the azimuths.
+            waves = torch.fft.rfft(values, dim=1)
+            shift = torch.polar(torch.tensor(1.0).double(), math.pi / azimuths * torch.arange(waves.shape[1]).double())
+            guess = torch.fft.irfft(waves * shift[:, None], n=azimuths, dim=1)
+            values = torch.stack([values, found], 2).flatten(1, 2)
             if _agree(
-                brdf, between, guess, found, 8 * TOLERANCE, len(between) >= _PATIENT_TABLE, len(steps) > _LARGEST_TABLE
+                brdf, few, guess, found, TOLERANCE, azimuths >= _PATIENT_AZIMUTHS, azimuths > _LARGEST_TABLE // 8
             ):
-                return _series(steps, values)
+                break
+            azimuths *= 2
+    steps = torch.linspace(0, 1, 17, dtype=torch.float64)
+    values = at(steps, azimuths)
+    while True:
+        between = (steps[1:] + steps[:-1]) / 2
+        found = at(between, azimuths)
+        guess = torch.from_numpy(_spline(steps, values)(between.numpy()))
+        steps, place = torch.cat([steps, between]).sort()
+        values = torch.cat([values, found])[place]
+        # With the points between, the error of a cubic spline falls to a sixteenth of what was found.
+        if _agree(
+            brdf, between, guess, found, 8 * TOLERANCE, len(between) >= _PATIENT_TABLE, len(steps) > _LARGEST_TABLE
+        ):
+            return _series(steps, values)
 
 
 def _series(steps: Float64[Tensor, " T"], values: Float64[Tensor, "T P N"]) -> _Table:

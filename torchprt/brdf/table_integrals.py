@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.brdf.tabulated import Tabulated, around, steps, tilt
+from torchprt.sh.constant import remembered
 
 # Gauss-Legendre nodes in a cell, beyond the order: enough for harmonics over a cell as wide as the circle.
 _NODES = 12
@@ -29,7 +29,7 @@ def cell_integrals(
     of one angle each, so that its integrals are sums of products of integrals of one angle, and they are linear in
     the angles of the fixed direction as the table itself is. Zero at and below the horizon.
     """
-    entries = _entries(brdf, family, order, views)
+    entries = _entries(torch.device("cpu"), brdf, family, order, views)
     band = sh.bands(order)
     m = torch.arange(order * order) - band * (band + 1)
     parts = [fixed.new_zeros(0, order * order)]
@@ -50,7 +50,7 @@ def cell_integrals(
     return torch.cat(parts)
 
 
-@functools.lru_cache(maxsize=64)
+@remembered(64)
 def _entries(
     brdf: Tabulated, family: Callable[[Tensor, int], Tensor], order: int, views: bool
 ) -> Float64[Tensor, "T P N"]:
@@ -58,36 +58,35 @@ def _entries(
 
     Without s_z if s is fixed.
     """
-    with torch.inference_mode(False), torch.no_grad():
-        values = brdf.values.double().cpu()
-        # Angle and azimuth of the fixed direction, then of the other one.
-        if brdf.isotropic:
-            values = (values.transpose(0, 1) if views else values)[:, None]
-        else:
-            values = values.permute(2, 3, 0, 1) if views else values
-        band = sh.bands(order)
-        m = torch.arange(order * order) - band * (band + 1)
-        theta, hats = _hats(values.shape[2], math.pi / 2, order)
-        # At azimuth 0: m and -m have the same part in theta.
-        along = family(torch.stack([theta.sin(), torch.zeros_like(theta), theta.cos()], -1), order)
-        along = along[:, band * (band + 1) + m.abs()] * (theta.sin() if views else theta.sin() * theta.cos())[:, None]
-        count = values.shape[3]
-        waves = torch.arange(order)
-        if brdf.isotropic:
-            phi, round_hats = _hats(count, math.pi, order)
-            # The other half of the circle is the mirror image.
-            turns = round_hats @ torch.cat([2 * (phi[:, None] * waves).cos(), torch.zeros(len(phi), order)], 1)
-        else:
-            phi, round_hats = _hats(count + 1, 2 * math.pi, order)
-            round_hats = torch.cat([round_hats[:1] + round_hats[-1:], round_hats[1:-1]])
-            turn = phi[:, None] * waves
-            turns = round_hats @ torch.cat([turn.cos(), turn.sin()], 1)
-        which = torch.where(m >= 0, m, order - m)
-        found = torch.einsum("bqai,ai->bqi", (values @ turns)[..., which], hats @ along)
-        if brdf.isotropic:
-            # The function of -m stands for m where the fixed direction is turned.
-            found = found[..., band * (band + 1) + m.abs()]
-        return found
+    values = brdf.values.double().cpu()
+    # Angle and azimuth of the fixed direction, then of the other one.
+    if brdf.isotropic:
+        values = (values.transpose(0, 1) if views else values)[:, None]
+    else:
+        values = values.permute(2, 3, 0, 1) if views else values
+    band = sh.bands(order)
+    m = torch.arange(order * order) - band * (band + 1)
+    theta, hats = _hats(values.shape[2], math.pi / 2, order)
+    # At azimuth 0: m and -m have the same part in theta.
+    along = family(torch.stack([theta.sin(), torch.zeros_like(theta), theta.cos()], -1), order)
+    along = along[:, band * (band + 1) + m.abs()] * (theta.sin() if views else theta.sin() * theta.cos())[:, None]
+    count = values.shape[3]
+    waves = torch.arange(order)
+    if brdf.isotropic:
+        phi, round_hats = _hats(count, math.pi, order)
+        # The other half of the circle is the mirror image.
+        turns = round_hats @ torch.cat([2 * (phi[:, None] * waves).cos(), torch.zeros(len(phi), order)], 1)
+    else:
+        phi, round_hats = _hats(count + 1, 2 * math.pi, order)
+        round_hats = torch.cat([round_hats[:1] + round_hats[-1:], round_hats[1:-1]])
+        turn = phi[:, None] * waves
+        turns = round_hats @ torch.cat([turn.cos(), turn.sin()], 1)
+    which = torch.where(m >= 0, m, order - m)
+    found = torch.einsum("bqai,ai->bqi", (values @ turns)[..., which], hats @ along)
+    if brdf.isotropic:
+        # The function of -m stands for m where the fixed direction is turned.
+        found = found[..., band * (band + 1) + m.abs()]
+    return found
 
 
 def _hats(count: int, length: float, order: int) -> tuple[Float64[Tensor, " Q"], Float64[Tensor, "T Q"]]:

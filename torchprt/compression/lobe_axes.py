@@ -8,7 +8,6 @@ Given axes `s_i`, the best coefficients of band l solve a small system, because 
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from torchprt.compression.small_systems import backward, cholesky, forward
 from torchprt.sh import basis, gauss_legendre
+from torchprt.sh.constant import remembered
 
 # Of the unit diagonal of a system: keeps lobes that come to coincide from growing heights of opposite sign.
 RIDGE = 1e-5
@@ -139,13 +139,13 @@ def slopes_of(target: Target) -> list[Tensor]:
         both[0] = vectors[l * l : (l + 1) ** 2] * math.sqrt(4 * math.pi / (2 * l + 1))
         if l + 1 < order:
             above = vectors[(l + 1) ** 2 : (l + 2) ** 2] * math.sqrt(4 * math.pi / (2 * l + 3))
-            derived = _derivatives(l + 1).to(vectors) @ above.flatten(1)
+            derived = _derivatives(vectors.device, l + 1).to(vectors) @ above.flatten(1)
             both[1:] = derived.reshape(3, *both.shape[1:])
         result.append(both)
     return result
 
 
-@functools.lru_cache(maxsize=64)
+@remembered(64)
 def _derivatives(band: int) -> Tensor:
     """`[3, 2l - 1, 2l + 1]`: the coefficients in band l - 1 of the derivatives of `r^l y_lm`.
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 
 # Samples taken at once, so that a large map does not need many times its size in memory.
 CHUNK = 1 << 21
@@ -115,19 +115,14 @@ def _extend_latlong(image: Float[Tensor, "*B H W C"]) -> Float[Tensor, "*B H2 W2
 
 def _extend_cube(cube: Float[Tensor, "*B 6 S S C"]) -> Float[Tensor, "*B 6 S2 S2 C"]:
     size, channels = cube.shape[-2], cube.shape[-1]
-    first, second, third = _neighbours(size, cube.device)
+    first, second, third = _neighbours(cube.device, size)
     texels = cube.reshape(*cube.shape[:-4], 6 * size * size, channels)
     around = (texels[..., first, :] + texels[..., second, :] + texels[..., third, :]) / 3
     return around.reshape(*cube.shape[:-4], 6, size + 2, size + 2, channels)
 
 
-@constant
-def _neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    build = _build_neighbours if torch.compiler.is_compiling() else _cached_neighbours
-    return build(size, device)
-
-
-def _build_neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+@remembered(16)
+def _neighbours(size: int) -> tuple[Tensor, Tensor, Tensor]:
     """For every texel of the extended faces the three texels whose mean it is (three times the same, mostly)."""
     # A little beyond an edge, at the height of the texel, lies the neighbour that shares the edge.
     inside = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
@@ -139,7 +134,7 @@ def _build_neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, 
         directions = torch.stack([_direction(face, s, t) for face in range(6)])
         face, s, t = _face_of(directions)
         column, row = (((1 + c) * size / 2).long().clamp(0, size - 1) for c in (s, t))
-        return ((face.long() * size + row) * size + column).flatten().to(device)
+        return ((face.long() * size + row) * size + column).flatten()
 
     corner = (s.abs() > 1) & (t.abs() > 1)
     within = line.clamp(inside[0], inside[-1])
@@ -149,10 +144,6 @@ def _build_neighbours(size: int, device: torch.device) -> tuple[Tensor, Tensor, 
         texel(s, torch.where(corner, near_t, t)),
         texel(torch.where(corner, near_s, s), t),
     )
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_neighbours = functools.lru_cache(maxsize=16)(torch.inference_mode(False)(_build_neighbours))
 
 
 def _direction(face: int, s: Tensor, t: Tensor) -> Tensor:

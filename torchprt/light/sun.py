@@ -1,6 +1,5 @@
 """The sun through the atmosphere, in linear sRGB."""
 
-import functools
 import math
 
 import torch
@@ -8,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.light.arguments import Number
+from torchprt.sh.constant import remembered
 
 # Half the angle under which the sun is seen, in radians (.2665 degrees).
 HALF_ANGLE = math.radians(0.2665)
@@ -52,7 +52,7 @@ def sun_radiance(zenith_angle: Float[Tensor, "*#B"], turbidity: Number) -> Float
     # A float32 air mass of 40 in an exponent would lose three digits.
     angle = zenith_angle.double()
     haze = torch.as_tensor(turbidity, dtype=torch.float64, device=angle.device)
-    wavelength, ozone, matching = (table.to(angle.device) for table in _tables())
+    wavelength, ozone, matching = _tables(angle.device)
     mass = 1 / (angle.cos() + 0.15 * (93.885 - torch.rad2deg(angle)) ** -1.253)
     beta = 0.04608365822050 * haze - 0.04586025928522
     depth = 0.008735 * wavelength**-4.08 + beta[..., None] * wavelength**-1.3 + 0.35 * ozone
@@ -65,7 +65,7 @@ def srgb_of_xyz(xyz: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
     return xyz @ torch.tensor(_SRGB_OF_XYZ, dtype=xyz.dtype, device=xyz.device).T
 
 
-@functools.cache
+@remembered(2)
 def _tables() -> tuple[Tensor, Tensor, Tensor]:
     """Wavelengths in micrometres, ozone, and the XYZ of each step of the solar spectrum in 1000 cd / m^2."""
     solar, ozone = (torch.tensor([float(x) for x in t.split()], dtype=torch.float64) for t in (_SOLAR, _OZONE))

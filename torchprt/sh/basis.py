@@ -1,6 +1,5 @@
 """The real spherical-harmonic basis and the reconstruction of functions from their coefficients."""
 
-import functools
 import math
 
 import torch
@@ -8,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh.constant import remembered
 from torchprt.sh.precision import widened
 
 _CONSTANT = math.sqrt(0.25 / math.pi)
@@ -30,7 +30,7 @@ def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
     wide = widened(directions)
-    along, across = _recurrence(order, wide.dtype, directions.device)
+    along, across = _recurrence(directions.device, order, wide.dtype)
     build = _in_place if only_values_are_wanted(directions) else _functional
     components = build(wide.reshape(-1, 3).T.contiguous(), along, across, order).to(directions.dtype)
     return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
@@ -118,14 +118,8 @@ def values_are_at_hand() -> bool:
     return not torch.compiler.is_compiling() and torch._C._functorch.peek_interpreter_stack() is None
 
 
-def _recurrence(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    # While a graph is traced the tables must belong to it; a cache would leak traced tensors into later
-    # calls.
-    build = _recurrence_tables if torch.compiler.is_compiling() else _cached_recurrence_tables
-    return build(order, dtype, device)
-
-
-def _recurrence_tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+@remembered(64)
+def _recurrence(order: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """a, b of y_lm = a z y_(l-1)m - b y_(l-2)m for every index; zero where the recurrence does not apply."""
     along, across = [], []
     for l in range(order):
@@ -135,10 +129,6 @@ def _recurrence_tables(order: int, dtype: torch.dtype, device: torch.device) -> 
             along.append(a)
             across.append(b)
     return (
-        torch.tensor(along, dtype=dtype, device=device).unsqueeze(-1),
-        torch.tensor(across, dtype=dtype, device=device).unsqueeze(-1),
+        torch.tensor(along, dtype=dtype).unsqueeze(-1),
+        torch.tensor(across, dtype=dtype).unsqueeze(-1),
     )
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_recurrence_tables = functools.lru_cache(maxsize=64)(torch.inference_mode(False)(_recurrence_tables))

@@ -1,12 +1,11 @@
 """Turning lights by three Euler turns, about z, y and z: the fast way where only values are wanted."""
 
-import functools
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.sh.basis import bands, order_of
+from torchprt.sh.constant import remembered
 from torchprt.sh.matrices import rotation_bands
 
 # Up to here one product with J, zeros and all, is as fast as a product a band.
@@ -25,7 +24,7 @@ def turn_by_euler(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 
     orbitals in space-fixed axes".
     """
     order, batch = order_of(light.shape[-2]), torch.broadcast_shapes(light.shape[:-2], rotation.shape[:-2])
-    swap, mirrored, size_of_m, sine_of_m = _constants(order, light.dtype, light.device)
+    swap, mirrored, size_of_m, sine_of_m = _constants(light.device, order, light.dtype)
     rotation = rotation.reshape(*[1] * (len(batch) + 2 - rotation.ndim), *rotation.shape)
     powers = _powers(_euler(_batch_last(rotation)), order)
     # Two buffers, written in turns: fresh memory and caches overrun cost more than the arithmetic.
@@ -71,10 +70,8 @@ def _powers(unit: Tensor, order: int) -> Tensor:
     return powers[:, :order]
 
 
-@functools.lru_cache(maxsize=64)
-def _constants(
-    order: int, dtype: torch.dtype, device: torch.device
-) -> tuple[tuple[Tensor, ...], Tensor, Tensor, Tensor]:
+@remembered(64)
+def _constants(order: int, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], Tensor, Tensor, Tensor]:
     """J, in blocks; where -m stands; the rows of |m| in the cosines, and of its signed sine in [sines, -sines]."""
     exchange = torch.tensor([[1, 0, 0], [0, 0, 1], [0, 1, 0]], dtype=torch.float64)
     blocks = rotation_bands(exchange, order)
@@ -84,8 +81,8 @@ def _constants(
     m = torch.arange(order**2) - centre
     sine_of_m = torch.where(m > 0, order + m, -m)
     return (
-        tuple(block.to(device, dtype) for block in swap),
-        (centre - m).to(device),
-        m.abs().to(device),
-        sine_of_m.to(device),
+        tuple(block.to(dtype) for block in swap),
+        centre - m,
+        m.abs(),
+        sine_of_m,
     )

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, only_values_are_wanted
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.sh.precision import widened
 
@@ -35,7 +35,7 @@ def hemisphere_basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Ten
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
     wide = widened(directions)
-    tables = _tables(order, wide.dtype, directions.device)
+    tables = _tables(directions.device, order, wide.dtype)
     build = _in_place if only_values_are_wanted(directions) else _functional
     components = build(wide.reshape(-1, 3).T.contiguous(), tables, order).to(directions.dtype)
     return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
@@ -126,19 +126,9 @@ def _in_place(xyz: Tensor, tables: tuple[Tensor, ...], order: int) -> Tensor:
     return rows
 
 
-@constant
-def _tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    # As in `basis`: a cache would leak traced tensors into later calls.
-    build = _build_tables if torch.compiler.is_compiling() else _cached_tables
-    return build(order, dtype, device)
-
-
-def _build_tables(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    return tuple(torch.tensor(table, dtype=dtype, device=device).unsqueeze(-1) for table in _recurrence(order))
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_tables = functools.lru_cache(maxsize=64)(torch.inference_mode(False)(_build_tables))
+@remembered(64)
+def _tables(order: int, dtype: torch.dtype) -> tuple[Tensor, ...]:
+    return tuple(torch.tensor(table, dtype=dtype).unsqueeze(-1) for table in _recurrence(order))
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,6 +1,5 @@
 """The rotation matrices of each band, built from the 3x3 rotation without angles."""
 
-import functools
 import math
 
 import torch
@@ -8,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 from torchprt.sh.precision import at_least_single, without_autocast
 
 # From here on the recurrence runs in float64 even for float32 input.
@@ -35,7 +34,7 @@ def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float
     turn = rotation.reshape(-1, 3, 3).movedim(0, -1).to(exact)
     bands = [torch.ones_like(turn[:1, :1])]
     for l in range(1, order):
-        couple, inner, outer = _coupling(l, exact, rotation.device)
+        couple, inner, outer = _coupling(rotation.device, l, exact)
         last = bands[-1]
         x, y, z = (turn[:, axis, None, None] for axis in range(3))
         # The outermost columns come from (x + iy) times the outermost of the band below.
@@ -58,13 +57,8 @@ def rotation_matrix(rotation: Float[Tensor, "*B 3 3"], order: int) -> Float[Tens
     return torch.cat([pad(band, (l * l, order * order - (l + 1) ** 2)) for l, band in enumerate(bands)], dim=-2)
 
 
-@constant
-def _coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    build = _build_coupling if torch.compiler.is_compiling() else _cached_coupling
-    return build(l, dtype, device)
-
-
-def _build_coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+@remembered(256)
+def _coupling(l: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
     """int y_lm s_j y_(l-1)k as a matrix [2l + 1, 3 (2l - 1)], and what divides it out again.
 
     z y_(l-1)m = a y_lm + ..., and (x + iy) times the outermost y_(l-1) is 1 / outer times the outermost y_l.
@@ -108,11 +102,7 @@ def _build_coupling(l: int, dtype: torch.dtype, device: torch.device) -> tuple[T
             add(m, 0, -(k + 1), lowered)
     outer = math.sqrt((2 * l + 1) / (2 * l)) * (math.sqrt(2) if l == 1 else 1.0)
     return (
-        torch.tensor(table, dtype=dtype, device=device),
-        torch.tensor(inner, dtype=dtype, device=device).reshape(1, -1, 1),
-        torch.tensor(outer, dtype=dtype, device=device),
+        torch.tensor(table, dtype=dtype),
+        torch.tensor(inner, dtype=dtype).reshape(1, -1, 1),
+        torch.tensor(outer, dtype=dtype),
     )
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_coupling = functools.lru_cache(maxsize=256)(torch.inference_mode(False)(_build_coupling))

@@ -1,14 +1,12 @@
 """Products of functions in their coefficients: the Gaunt tensor, vectors and matrices."""
 
-import functools
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, order_of
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 from torchprt.sh.quadrature import gauss_legendre
 
 # Rounding of the quadrature stays below 1e-14, and the smallest Gaunt coefficient up to order 32 above 1e-6.
@@ -23,7 +21,7 @@ def gaunt(order_a: int, order_b: int, order_c: int, dtype: torch.dtype = torch.f
     Raises InputError if an order is below 1.
     Source: Sloan, Kautz and Snyder 2002, section 4.2 (the triple product).
     """
-    return _gaunt(order_a, order_b, order_c).to(dtype, copy=True)
+    return _gaunt(torch.device("cpu"), order_a, order_b, order_c, torch.float64).to(dtype, copy=True)
 
 
 def product(
@@ -41,7 +39,7 @@ def product(
     order = max(order_a, order_b) if order is None else order
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
-    table, project = _tables(order_a, order_b, order, a.dtype, a.device)
+    table, project = _tables(a.device, order_a, order_b, order, a.dtype)
     return project @ ((table[:, : order_a**2] @ a) * (table[:, : order_b**2] @ b))
 
 
@@ -52,13 +50,12 @@ def product_matrix(a: Float[Tensor, "*B N"], order_in: int, order_out: int) -> F
     Raises InputError if N is not a square number or an order is below 1.
     Source: Sloan, Kautz and Snyder 2002, section 4.2, equation 12.
     """
-    tensor = _gaunt_like(order_of(a.shape[-1]), order_out, order_in, a.dtype, a.device)
+    tensor = _gaunt(a.device, order_of(a.shape[-1]), order_out, order_in, a.dtype)
     return (a @ tensor.flatten(1)).unflatten(-1, tensor.shape[1:])
 
 
-@functools.lru_cache(maxsize=16)
-@torch.inference_mode(False)
-def _gaunt(order_a: int, order_b: int, order_c: int) -> Tensor:
+@remembered(16)
+def _gaunt(order_a: int, order_b: int, order_c: int, dtype: torch.dtype) -> Tensor:
     orders = (order_a, order_b, order_c)
     if min(orders) < 1:
         raise InputError(f"orders must be at least 1, not {orders}")
@@ -66,28 +63,12 @@ def _gaunt(order_a: int, order_b: int, order_c: int) -> Tensor:
     table = basis(directions, max(orders))
     left = table[:, : order_a**2].mT.unsqueeze(1) * (table[:, : order_b**2].mT * weights)
     values = (left.flatten(0, 1) @ table[:, : order_c**2]).unflatten(0, left.shape[:2])
-    return torch.where(values.abs() > _NOTHING, values, 0.0)
+    return torch.where(values.abs() > _NOTHING, values, 0.0).to(dtype)
 
 
-@constant
-def _gaunt_like(order_a: int, order_b: int, order_c: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return _gaunt(order_a, order_b, order_c).to(device, dtype)
-
-
-@constant
-def _tables(order_a: int, order_b: int, order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    build = _build_tables if torch.compiler.is_compiling() else _cached_tables
-    return build(order_a, order_b, order, dtype, device)
-
-
-def _build_tables(
-    order_a: int, order_b: int, order: int, dtype: torch.dtype, device: torch.device
-) -> tuple[Tensor, Tensor]:
+@remembered(32)
+def _tables(order_a: int, order_b: int, order: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     directions, weights = gauss_legendre(order_a + order_b + order - 3)
     table = basis(directions, max(order_a, order_b, order))
     project = (table[:, : order**2] * weights[:, None]).mT
-    return table.to(device, dtype).contiguous(), project.to(device, dtype).contiguous()
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_tables = functools.lru_cache(maxsize=32)(torch.inference_mode(False)(_build_tables))
+    return table.to(dtype).contiguous(), project.to(dtype).contiguous()

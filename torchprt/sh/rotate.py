@@ -1,6 +1,5 @@
 """Turning a light, and the rotation matrices of each band."""
 
-import functools
 import math
 
 import torch
@@ -9,7 +8,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.precision import KeepsSingle, at_least_single, widened, without_autocast
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
@@ -43,7 +42,7 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
     exact, turn = light.to(wide), whole_rotation(rotation)
     if only_values_are_wanted(exact, turn):
         return turn_by_euler(exact, turn).to(light.dtype)
-    return _turn(exact, turn, _constants(order, wide, light.device), order).to(light.dtype)
+    return _turn(exact, turn, _constants(light.device, order, wide), order).to(light.dtype)
 
 
 class Rotation(KeepsSingle):
@@ -62,7 +61,7 @@ class Rotation(KeepsSingle):
     def __init__(self, order: int, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
         self.order = order
-        constants = _build_constants(order, at_least_single(dtype), torch.device("cpu"))
+        constants = _constants(torch.device("cpu"), order, at_least_single(dtype))
         for name, values in zip(self.single, constants, strict=True):
             self.register_buffer(name, values, persistent=False)
 
@@ -135,13 +134,8 @@ def _turn(light: Tensor, rotation: Tensor, constants: tuple[Tensor, Tensor, Tens
     return (values.reshape(*values.shape[:-2], channels, halves * points.shape[0]) @ project).mT
 
 
-@constant
-def _constants(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    build = _build_constants if torch.compiler.is_compiling() else _cached_constants
-    return build(order, dtype, device)
-
-
-def _build_constants(order: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+@remembered(64)
+def _constants(order: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor]:
     """Points [D, 3], parity of the bands [N, halves], and what projects the values back [halves D, N]."""
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
@@ -158,8 +152,4 @@ def _build_constants(order: int, dtype: torch.dtype, device: torch.device) -> tu
         points, weights = gauss_legendre(degree)
         parity = torch.ones(order * order, 1, dtype=torch.float64)
     project = (parity.mT.unsqueeze(1) * (basis(points, order) * weights[:, None])).flatten(0, 1)
-    return points.to(device, dtype), parity.to(device, dtype), project.to(device, dtype)
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_constants = functools.lru_cache(maxsize=64)(torch.inference_mode(False)(_build_constants))
+    return points.to(dtype), parity.to(dtype), project.to(dtype)

@@ -3,7 +3,6 @@
 Orientation of both kinds of image: docs/conventions.md.
 """
 
-import functools
 import math
 from typing import Literal
 
@@ -14,7 +13,7 @@ from torch.nn.functional import linear
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis
-from torchprt.sh.constant import constant
+from torchprt.sh.constant import remembered
 from torchprt.sh.matrices import rotation_matrix
 from torchprt.sh.precision import widened, without_autocast
 
@@ -110,7 +109,7 @@ def project_cube(
         raise InputError(f"cube has faces of {size} x {width} texels: they must be square")
     planes = cube.movedim(-1, -4)
     if order * order * 6 * size * size <= _LARGEST_TABLE:
-        table = _cube_table(order, size, weights, cube.dtype, cube.device)
+        table = _cube_table(cube.device, order, size, weights, cube.dtype)
         flat = linear(planes.reshape(-1, 6 * size * size), table)
     else:
         directions = cube_directions(size, cube.dtype)
@@ -136,7 +135,7 @@ def project_latlong(image: Float[Tensor, "*B H W C"], order: int) -> Float[Tenso
     """
     dtype, image = image.dtype, widened(image)
     height, width = image.shape[-3:-1]
-    around, down, index, upright = _latlong_tables(order, height, width, image.dtype, image.device)
+    around, down, index, upright = _latlong_tables(image.device, order, height, width, image.dtype)
     fourier = linear(image.movedim(-1, -3), around)
     return (upright @ (fourier[..., index] * down).sum(-2).mT).to(dtype)
 
@@ -160,31 +159,13 @@ def _weighted(directions: Tensor, area: Tensor, order: int, dtype: torch.dtype) 
     return (basis(directions, order).mT * area).to(dtype)
 
 
-@constant
-def _cube_table(order: int, size: int, weights: Weights, dtype: torch.dtype, device: torch.device) -> Tensor:
-    build = _build_cube_table if torch.compiler.is_compiling() else _cached_cube_table
-    return build(order, size, weights, dtype, device)
+@remembered(4)
+def _cube_table(order: int, size: int, weights: Weights, dtype: torch.dtype) -> Tensor:
+    return cube_basis(order, size, weights, dtype)
 
 
-def _build_cube_table(order: int, size: int, weights: Weights, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return cube_basis(order, size, weights, dtype).to(device)
-
-
-# Constants made in inference mode could never serve a gradient later.
-_cached_cube_table = functools.lru_cache(maxsize=4)(torch.inference_mode(False)(_build_cube_table))
-
-
-@constant
-def _latlong_tables(
-    order: int, height: int, width: int, dtype: torch.dtype, device: torch.device
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    build = _build_latlong_tables if torch.compiler.is_compiling() else _cached_latlong_tables
-    return build(order, height, width, dtype, device)
-
-
-def _build_latlong_tables(
-    order: int, height: int, width: int, dtype: torch.dtype, device: torch.device
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+@remembered(16)
+def _latlong_tables(order: int, height: int, width: int, dtype: torch.dtype) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     theta, phi = _latlong_angles(height, width)
     # In a frame whose z axis points up, phi runs clockwise seen from above.
     upright = torch.tensor([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], dtype=torch.float64)
@@ -197,11 +178,8 @@ def _build_latlong_tables(
     # On the meridian y_lm with m >= 0 is the Legendre part alone, and m < 0 shares that of |m|.
     down = basis(meridian, order)[:, centre + degree.abs()] * latlong_weights(height, width)[:, :1]
     return (
-        around.to(device, dtype),
-        down.to(device, dtype),
-        (degree + order - 1).to(device),
-        rotation_matrix(upright, order).to(device, dtype),
+        around.to(dtype),
+        down.to(dtype),
+        degree + order - 1,
+        rotation_matrix(upright, order).to(dtype),
     )
-
-
-_cached_latlong_tables = functools.lru_cache(maxsize=16)(torch.inference_mode(False)(_build_latlong_tables))

@@ -1,6 +1,5 @@
 """Windows against ringing: a factor a band, and the smallest one that leaves no negative radiance."""
 
-import functools
 import math
 
 import torch
@@ -9,6 +8,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, order_of
+from torchprt.sh.constant import remembered
 from torchprt.sh.precision import without_autocast
 from torchprt.sh.quadrature import fibonacci
 from torchprt.sh.zonal import convolve
@@ -100,7 +100,7 @@ def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"
 def _least_and_largest(light: Tensor) -> tuple[Tensor, Tensor]:
     """Least value over directions and channels, and largest absolute value, of lights [B, N, C], each [B]."""
     order = order_of(light.shape[-2])
-    directions, table, neighbours = (part.to(light.device) for part in _search_set(order))
+    directions, table, neighbours = _search_set(light.device, order)
     values = (table @ light).mT
     valley = (values <= values[..., neighbours].amin(-1)).flatten(1)
     lowest = torch.where(valley, values.flatten(1), torch.inf).topk(min(_VALLEYS, valley.shape[1]), largest=False)
@@ -129,8 +129,7 @@ def _descend(coefficients: Tensor, start: Tensor, reach: float) -> Tensor:
     return best
 
 
-@functools.lru_cache(maxsize=8)
-@torch.inference_mode(False)
+@remembered(8)
 def _search_set(order: int) -> tuple[Tensor, Tensor, Tensor]:
     from scipy.spatial import cKDTree
 
