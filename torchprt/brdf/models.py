@@ -256,7 +256,7 @@ def _power(base: Tensor, exponent: Parameter) -> Tensor:
 
 def _check(name: str, value: Parameter, least: float | int, largest: float | int) -> None:
     if isinstance(value, Tensor):
-        if not values_are_at_hand():
+        if not values_are_at_hand(value):
             return
         fits = bool((value.isfinite() & (value >= least) & (value <= largest)).all())
         shown = f"{value.item():g}" if value.numel() == 1 else f"between {value.min():g} and {value.max():g}"

@@ -102,10 +102,11 @@ def hemisphere(
     mean, slope = (top + bottom) / 2, (top - bottom) / 2
     if normalise:
         mean, slope = (colour * (6 / 5 if order > 1 else 2.0) for colour in (mean, slope))
-    flat = torch.zeros(order, dtype=torch.float64)
-    linear = flat.clone()
-    flat[0] = 4 * math.pi
-    linear[1:2] = 4 * math.pi / 3
+    none = [0.0] * order
+    flat, linear = (
+        torch.tensor(factors[:order], dtype=torch.float64, device=axis.device)
+        for factors in ([4 * math.pi, *none], [0.0, 4 * math.pi / 3, *none])
+    )
     return zonal_light(axis, flat, mean) + zonal_light(axis, linear, slope)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.sh.basis import values_are_at_hand
 from torchprt.sh.constant import remembered
 
 # Samples taken at once, so that a large map does not need many times its size in memory.
@@ -92,8 +93,7 @@ def _check_size(name: str, size: int) -> None:
 
 
 def _check_radiance(image: Tensor) -> None:
-    # Values cannot be looked at while a graph is traced.
-    if torch.compiler.is_compiling() or torch.compiler.is_exporting():
+    if not values_are_at_hand(image):
         return
     low, high = torch.aminmax(image.detach())
     if not (bool(low.isfinite()) and bool(high.isfinite())):

@@ -191,8 +191,7 @@ def _upper_hemisphere(zenith: Float[Tensor, "3"], order: int) -> tuple[Tensor, T
 
 def _frame(zenith: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     """Rows: two directions across `zenith`, and itself."""
-    least = torch.zeros_like(zenith)
-    least[zenith.detach().abs().argmin()] = 1
+    least = (torch.arange(3, device=zenith.device) == zenith.detach().abs().argmin()).to(zenith)
     first = torch.linalg.cross(zenith, least)
     first = first / torch.linalg.vector_norm(first)
     return torch.stack([first, torch.linalg.cross(zenith, first), zenith])

@@ -77,7 +77,7 @@ class SkinnedMesh(KeepsSingle):
             raise InputError(
                 f"transforms have shape {list(transforms.shape)}: there are {count} joints, give [..., {count}, 4, 4]"
             )
-        if values_are_at_hand():
+        if values_are_at_hand(transforms):
             bottom = transforms.new_tensor([0.0, 0.0, 0.0, 1.0])
             if not bool(transforms.isfinite().all() & (transforms[..., 3, :] - bottom).abs().le(1e-4).all()):
                 raise InputError("transforms must be finite, with a last row of 0, 0, 0, 1: give affine matrices")

@@ -62,7 +62,9 @@ def bands(order: int) -> Int[Tensor, " N"]:
 
 def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions") -> None:
     """Raises InputError unless every direction has unit length within 1e-4, or the epsilon of a narrow type (zero and
-    NaN included)."""
+    NaN included). Nothing is checked where values cannot be looked at: in a traced graph, under torch.func."""
+    if not values_are_at_hand(directions):
+        return
     tolerance = max(1e-4, torch.finfo(directions.dtype).eps)
     if not bool((torch.linalg.vector_norm(widened(directions), dim=-1) - 1).abs().le(tolerance).all()):
         raise InputError(f"{name} must be finite and of unit length: normalise them and remove zero vectors")
@@ -107,15 +109,38 @@ def _in_place(xyz: Tensor, along: Tensor, across: Tensor, order: int) -> Tensor:
 
 def only_values_are_wanted(*arguments: Tensor) -> bool:
     """No graph is traced, no gradient recorded, no torch.func transform active: none of them knows `out=`."""
-    return values_are_at_hand() and not (
+    return _nothing_is_traced() and not (
         (torch.is_grad_enabled() and any(argument.requires_grad for argument in arguments))
         or torch.autograd.forward_ad._current_level >= 0
     )
 
 
-def values_are_at_hand() -> bool:
-    """No graph is traced and no torch.func transform active: values may be looked at."""
+def values_are_at_hand(*values: Tensor) -> bool:
+    """Whether values may be looked at, to check them: no graph is traced or captured (by the compiler, by export, by
+    CUDA), no torch.func transform is active, and none of `values` is on the meta device or a fake."""
+    return (
+        _nothing_is_traced()
+        and not (torch._C._len_torch_dispatch_stack() and _a_mode_has_no_values())
+        and not (torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing())
+        and all(value.device.type != "meta" and not _is_fake(value) for value in values)
+    )
+
+
+def _nothing_is_traced() -> bool:
     return not torch.compiler.is_compiling() and torch._C._functorch.peek_interpreter_stack() is None
+
+
+def _a_mode_has_no_values() -> bool:
+    kinds = torch._C._TorchDispatchModeKey
+    return any(torch._C._get_dispatch_mode(kind) is not None for kind in (kinds.FAKE, kinds.PROXY))
+
+
+def _is_fake(value: Tensor) -> bool:
+    if type(value) in (Tensor, torch.nn.Parameter):
+        return False
+    from torch._subclasses.fake_tensor import FakeTensor
+
+    return isinstance(value, FakeTensor)
 
 
 @remembered(64)

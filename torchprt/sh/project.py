@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.basis import basis
+from torchprt.sh.basis import basis, values_are_at_hand
 from torchprt.sh.quadrature import gauss_legendre
 
 # How far beyond order n the default rule stays exact, for functions that are smooth but not of order n.
@@ -45,17 +45,21 @@ def project_samples(
     """The SH coefficients that fit `values` at unit `directions` best, in the (weighted) least-squares sense.
 
     Minimises sum_d w_d |f(s_d) - value_d|^2 by QR, with w = 1 by default; gradients flow to `values`.
-    Raises InputError if a weight is negative or the samples do not determine all N coefficients.
+    Raises InputError if a weight is negative or the samples do not determine all N coefficients; in a traced graph and
+    under torch.func only if there are too few of them.
     """
     table = basis(directions, order)
     if weights is not None:
-        if not bool(weights.ge(0).all()):
+        if values_are_at_hand(weights) and not bool(weights.ge(0).all()):
             raise InputError("weights must be zero or more: least squares has no meaning otherwise")
         root = weights.sqrt().unsqueeze(-1)
         table, values = table * root, values * root
     count, unknowns = table.shape
-    spread = torch.linalg.svdvals(table.detach()) if count >= unknowns else None
-    if spread is None or not bool(spread[-1] > count * torch.finfo(table.dtype).eps * spread[0]):
+    determined = count >= unknowns
+    if determined and values_are_at_hand(table):
+        spread = torch.linalg.svdvals(table.detach())
+        determined = bool(spread[-1] > count * torch.finfo(table.dtype).eps * spread[0])
+    if not determined:
         raise InputError(
             f"{count} samples do not determine the {unknowns} coefficients of order {order}: "
             "give more directions, spread over the sphere, or a lower order"

@@ -37,8 +37,7 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
     wide = at_least_single(light.dtype)
     if wide != at_least_single(rotation.dtype):
         raise InputError(f"light is {light.dtype} but rotation is {rotation.dtype}: convert one of them")
-    if values_are_at_hand():
-        check_rotation(rotation)
+    check_rotation(rotation)
     exact, turn = light.to(wide), whole_rotation(rotation)
     if only_values_are_wanted(exact, turn):
         return turn_by_euler(exact, turn).to(light.dtype)
@@ -78,7 +77,10 @@ def check_rotation(rotation: Float[Tensor, "*B 3 3"], name: str = "rotation") ->
     """Raises InputError unless every matrix is orthogonal and proper (no reflection).
 
     Orthogonal within 1e-4, or within what a rotation loses that is rounded to a narrow type: 2 epsilons of it.
+    Nothing is checked where values cannot be looked at: in a traced graph, under torch.func.
     """
+    if not values_are_at_hand(rotation):
+        return
     tolerance = max(1e-4, 2 * torch.finfo(rotation.dtype).eps)
     # Rotations last: nine long streams, many times faster than a thousand products and determinants of 3x3.
     rows = widened(rotation).reshape(-1, 9).T.contiguous().reshape(3, 3, -1)

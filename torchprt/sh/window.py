@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.basis import basis, order_of
+from torchprt.sh.basis import basis, order_of, values_are_at_hand
 from torchprt.sh.constant import remembered
 from torchprt.sh.precision import without_autocast
 from torchprt.sh.quadrature import fibonacci
@@ -67,13 +67,14 @@ def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"
     looked for in float64 on 64 N directions and closed in on from the 8 lowest valleys among them.
     No gradient flows through the choice of the window. Sets up a light: not for every frame.
 
-    Raises InputError if N is not a square number, a value is not finite, or the mean of a channel is
-    negative, which no window mends.
+    Raises InputError if N is not a square number or, outside a traced graph and torch.func, a value is not finite or
+    the mean of a channel is negative, which no window mends.
     """
     order = order_of(light.shape[-2])
-    if not bool(light.isfinite().all()):
+    seen = values_are_at_hand(light)
+    if seen and not bool(light.isfinite().all()):
         raise InputError("light holds values that are not finite: repair the image it came from")
-    if bool(light[..., 0, :].lt(0).any()):
+    if seen and bool(light[..., 0, :].lt(0).any()):
         raise InputError("light has a channel whose mean is negative: no window makes it non-negative")
     exact = light.detach().double().flatten(0, -3) if light.dim() > 2 else light.detach().double().unsqueeze(0)
     tolerance = 4 * order * torch.finfo(light.dtype).eps
@@ -87,7 +88,7 @@ def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"
     ones = torch.ones(len(exact), 1, dtype=torch.float64, device=light.device)
     kept = is_non_negative(ones**exponent, tolerance)
     weak, strong = ones.clone(), torch.zeros_like(ones)
-    if not bool(kept.all()):
+    if not (seen and bool(kept.all())):
         for _ in range(_BISECTIONS):
             middle = (weak + strong) / 2
             enough = is_non_negative(middle**exponent, 0.0).unsqueeze(-1)
@@ -117,7 +118,8 @@ def _descend(coefficients: Tensor, start: Tensor, reach: float) -> Tensor:
     best = start.new_full(start.shape[:2], torch.inf)
     for _ in range(_STEPS):
         # Any axis far from the direction gives a tangent frame.
-        away = torch.nn.functional.one_hot(start.abs().argmin(-1), 3).to(start.dtype)
+        # As `one_hot`, which looks at values.
+        away = (torch.arange(3, device=start.device) == start.abs().argmin(-1, keepdim=True)).to(start.dtype)
         tangent = torch.nn.functional.normalize(torch.linalg.cross(start, away), dim=-1)
         frame = torch.stack([tangent, torch.linalg.cross(start, tangent)], -2)
         around = start.unsqueeze(-2) + reach * pattern @ frame

@@ -189,12 +189,11 @@ class Shader(nn.Module):
                     f"frames have shape {list(frames.shape)}: the transfer has {self.vertices} receivers, give "
                     f"[..., {self.vertices}, 3, 3]"
                 )
-            if values_are_at_hand():
-                check_rotation(frames, "frames")
+            check_rotation(frames, "frames")
             return whole_rotation(frames).to(dtype)
         if positions is None:
             return None
-        if values_are_at_hand() and not bool(positions.isfinite().all()):
+        if values_are_at_hand(positions) and not bool(positions.isfinite().all()):
             raise InputError("positions hold NaN or infinity: give finite numbers")
         assert self.estimate is not None
         return self.estimate(positions).to(dtype)

@@ -43,7 +43,7 @@ def toward_eye(
     assert value is not None
     if value.ndim == 0 or value.shape[-1] != 3:
         raise InputError(f"{name} has shape {list(value.shape)}: its last dimension must be x, y, z")
-    if values_are_at_hand():
+    if values_are_at_hand(value):
         if not bool(value.isfinite().all()):
             raise InputError(f"{name} holds NaN or infinity: give finite numbers")
         if view is not None and not bool(value.abs().amax(-1).gt(0).all()):
