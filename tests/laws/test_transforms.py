@@ -33,6 +33,7 @@ def lit(*shape):
     return made
 
 
+ONE = lit()
 DOWN = torch.nn.functional.normalize(values(20, 3), dim=-1)
 # What a function is called with, with a batch of two in front, and the call.
 CALLS = {
@@ -54,7 +55,7 @@ CALLS = {
     "sh.project_cube": (positive(2, 6, 4, 4, 3), lambda c: sh.project_cube(c, ORDER)),
     "sh.project_latlong": (positive(2, 4, 8, 3), lambda i: sh.project_latlong(i, ORDER)),
     "sh.project_samples": (values(2, 20, 3), lambda v: sh.project_samples(v, DOWN, ORDER, torch.ones(20).double())),
-    "sh.rotate": (turns(2), lambda r: sh.rotate(lit(), r)),
+    "sh.rotate": (turns(2), lambda r: sh.rotate(ONE, r)),
     "sh.rotation_bands": (turns(2), lambda r: sh.rotation_bands(r, ORDER)[-1]),
     "sh.rotation_matrix": (turns(2), lambda r: sh.rotation_matrix(r, ORDER)),
     "sh.to_e3nn": (lit(2), sh.to_e3nn),

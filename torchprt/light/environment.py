@@ -13,6 +13,7 @@ from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.sh.constant import remembered
+from torchprt.sh.derivatives import read_bilinear
 
 # Samples taken at once, so that a large map does not need many times its size in memory.
 CHUNK = 1 << 21
@@ -187,7 +188,7 @@ def _bilinear(atlas: Float[Tensor, "b C H W"], column: Tensor, row: Tensor) -> F
     height, width = atlas.shape[-2:]
     grid = torch.stack([column * (2 / width) - 1, row * (2 / height) - 1], dim=-1)
     grid = grid.to(atlas.dtype).expand(atlas.shape[0], *grid.shape)
-    return F.grid_sample(atlas, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return read_bilinear(atlas, grid)
 
 
 def _cube_face(

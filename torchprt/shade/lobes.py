@@ -7,10 +7,10 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from torchprt.sh import basis, order_of
 from torchprt.sh.basis import only_values_are_wanted
+from torchprt.sh.derivatives import read_bilinear
 from torchprt.sh.precision import widened, without_autocast
 
 # Rows and columns of the table of a light.
@@ -123,7 +123,7 @@ def table_radiance(
     table = table.expand(*batch, *table.shape[-3:]).reshape(-1, *table.shape[-3:])
     places = table_places(axes).movedim(0, -3)
     places = places.expand(*batch, *places.shape[-3:]).reshape(-1, *places.shape[-3:])
-    read = grid_sample(table, places, padding_mode="border", align_corners=False)
+    read = read_bilinear(table, places)
     read = read.reshape(*batch, coefficients.shape[2], 3, *read.shape[-2:])
     weights = coefficients.movedim((2, 0, 1), (-4, -3, -2))
     radiance = (read * weights).sum((-4, -2))
