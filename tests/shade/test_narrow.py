@@ -274,7 +274,7 @@ def test_a_table_of_the_light_is_read_in_float32(dtype):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_compiled_shader_works_under_autocast(untyped, kind):
+def test_a_compiled_shader_works_under_autocast(fresh, kind):
     module = shader(TRANSFERS[f"{kind} clustered 3"])
     look = asked(module.needs, module.vertices, 2)
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
