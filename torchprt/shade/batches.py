@@ -24,15 +24,17 @@ def light_product(
         return _of_one_batch(light, vectors, out)
     batch = torch.broadcast_shapes(light.shape[:-2], vectors.shape[2:-1])
     poses = (1,) * (len(batch) - vectors.ndim + 3) + tuple(vectors.shape[2:-1])
-    paired = [axis for axis, size in enumerate(poses) if size != 1]
-    shared = [axis for axis, size in enumerate(poses) if size == 1]
+    paired = [axis for axis, size in enumerate(poses) if not is_one(size)]
+    shared = [axis for axis in range(len(poses)) if axis not in paired]
     matrices = vectors.movedim(1, -2).reshape(channels * math.prod(poses), count, vectors.shape[-1])
     colour = len(batch)
     order = [colour, *paired, *shared] if channels == 3 else [*paired, *shared, colour]
     sizes = [(*batch, 3)[axis] for axis in order]
     rows = light.mT.expand(*batch, 3, count).permute(*order, -1)
-    rows = rows.reshape(len(matrices), math.prod(sizes) // max(len(matrices), 1), count)
-    products = torch.mm(rows[0], matrices[0]) if len(matrices) == 1 else torch.bmm(rows, matrices)
+    # Not `len`, which would be a constant of a graph.
+    many = matrices.shape[0]
+    rows = rows.reshape(many, math.prod(sizes) // max(many, 1), count)
+    products = torch.mm(rows[0], matrices[0]) if is_one(many) else torch.bmm(rows, matrices)
     back = sorted(range(len(order)), key=order.__getitem__)
     return products.view(*sizes, vectors.shape[-1]).permute(*back, -1)
 
@@ -49,6 +51,15 @@ def _of_one_batch(light: Tensor, vectors: Tensor, out: Tensor | None) -> Tensor:
     memory = None if out is None else _memory(out, out.movedim(-1, 0), (3, *batch, vertices)).view(3, many, vertices)
     flat = light.movedim(-1, 0).reshape(3, many, count)
     return torch.bmm(flat, vectors, out=memory).view(3, *batch, vertices).movedim(0, -2)
+
+
+def is_one(size: int) -> bool:
+    """Whether a dimension has size 1; in a traced graph whether it always has, so that a free batch stays free."""
+    if not torch.compiler.is_compiling():
+        return size == 1
+    from torch.fx.experimental.symbolic_shapes import statically_known_true
+
+    return statically_known_true(size == 1)
 
 
 def _memory(out: Tensor, memory: Tensor, shape: tuple[int, ...]) -> Tensor:

@@ -12,6 +12,7 @@ from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.sh.derivatives import with_all_derivatives
+from torchprt.shade.batches import is_one
 from torchprt.shade.dense import matrix_vectors
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Clustered
@@ -115,7 +116,7 @@ class ClusteredSignal(SignalModule):
         batch = torch.broadcast_shapes(lights, eyes)
         found = self.blend(self.sent(lambda signal: _exits(signal, light)))
         receivers, rows = values.shape[-2:]
-        if math.prod(eyes) == 1:
+        if is_one(math.prod(eyes)):
             # One product a receiver for all lights: half the time of products and sums.
             view = values.reshape(receivers, rows).contiguous().unsqueeze(-1)
             seen = torch.bmm(found.view(receivers, -1, rows), view)
