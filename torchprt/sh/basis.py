@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.constant import remembered
+from torchprt.sh.constant import a_mode_replaces_tensors, remembered
 from torchprt.sh.precision import widened
 
 _CONSTANT = math.sqrt(0.25 / math.pi)
@@ -120,7 +120,7 @@ def values_are_at_hand(*values: Tensor) -> bool:
     CUDA), no torch.func transform is active, and none of `values` is on the meta device or a fake."""
     return (
         _nothing_is_traced()
-        and not (torch._C._len_torch_dispatch_stack() and _a_mode_has_no_values())
+        and not (torch._C._len_torch_dispatch_stack() and a_mode_replaces_tensors())
         and not (torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing())
         and all(value.device.type != "meta" and not _is_fake(value) for value in values)
     )
@@ -128,11 +128,6 @@ def values_are_at_hand(*values: Tensor) -> bool:
 
 def _nothing_is_traced() -> bool:
     return not torch.compiler.is_compiling() and torch._C._functorch.peek_interpreter_stack() is None
-
-
-def _a_mode_has_no_values() -> bool:
-    kinds = torch._C._TorchDispatchModeKey
-    return any(torch._C._get_dispatch_mode(kind) is not None for kind in (kinds.FAKE, kinds.PROXY))
 
 
 def _is_fake(value: Tensor) -> bool:

@@ -23,7 +23,7 @@ def remembered(most: int) -> Callable[[Callable[P, R]], Callable[Concatenate[tor
 
     It makes a tensor, or a tuple of them, on the CPU, without regard for devices. What is kept is what it makes in
     `plain_torch`, so neither is it of a mode, a transform or a graph that is being traced nor does it follow a default
-    device; and it may be used in all of them: under a dispatch mode (fake tensors, export) it is handed to that first.
+    device; and it may be used in all of them: under a mode that replaces tensors (fake ones, export) it is handed to that first.
     A graph that is compiled takes the result as a constant. `.forget()` lets go of what is kept.
     """
 
@@ -37,7 +37,7 @@ def remembered(most: int) -> Callable[[Callable[P, R]], Callable[Concatenate[tor
 
         @functools.wraps(make)
         def table(device: torch.device, *key: Any) -> Any:
-            if not stack_length():
+            if not (stack_length() and a_mode_replaces_tensors()):
                 return kept(device, *key)
             # As `torch.tensor` hands over what it has made. A device of fakes need not exist.
             lift = torch.ops.aten.lift_fresh.default
@@ -48,6 +48,12 @@ def remembered(most: int) -> Callable[[Callable[P, R]], Callable[Concatenate[tor
         return cast(Callable[Concatenate[torch.device, P], R], constant(table))
 
     return decorated
+
+
+def a_mode_replaces_tensors() -> bool:
+    """Whether tensors that are made are fakes, or parts of a graph that is traced."""
+    kinds = torch._C._TorchDispatchModeKey
+    return any(torch._C._get_dispatch_mode(kind) is not None for kind in (kinds.FAKE, kinds.PROXY, kinds.FUNCTIONAL))
 
 
 @contextlib.contextmanager

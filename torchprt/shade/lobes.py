@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchprt.sh import basis, order_of
 from torchprt.sh.basis import only_values_are_wanted
+from torchprt.sh.constant import remembered
 from torchprt.sh.derivatives import read_bilinear
 from torchprt.sh.precision import widened, without_autocast
 
@@ -141,18 +142,24 @@ def light_table(light: Float[Tensor, "*B N 3"], first: int) -> Float[Tensor, "*B
     rows over the poles.
     """
     order = order_of(light.shape[-2])
+    values = _table_basis(light.device, order, light.dtype)
+    bands = [light.mT[..., l * l : (l + 1) ** 2] @ values[l * l : (l + 1) ** 2] for l in range(first, order)]
+    if not bands:
+        return light.new_zeros(*light.shape[:-2], 0, TABLE[0] + 2, TABLE[1] + 2)
+    table = torch.cat(bands, -2).unflatten(-1, TABLE)
+    above = torch.cat([table[..., :1, :].roll(TABLE[1] // 2, -1), table, table[..., -1:, :].roll(TABLE[1] // 2, -1)], -2)
+    return torch.cat([above[..., -1:], above, above[..., :1]], -1)
+
+
+@remembered(8)
+def _table_basis(order: int, dtype: torch.dtype) -> Float[Tensor, "N D"]:
+    """The basis at the texel centres, row after row."""
     height, width = TABLE
     theta = (torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height)
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (2 * math.pi / width) - math.pi
     theta, phi = torch.meshgrid(theta, phi, indexing="ij")
     directions = torch.stack([theta.sin() * phi.sin(), theta.cos(), theta.sin() * phi.cos()], -1)
-    values = basis(directions.to(light), order).movedim(-1, 0).reshape(order * order, height * width)
-    bands = [light.mT[..., l * l : (l + 1) ** 2] @ values[l * l : (l + 1) ** 2] for l in range(first, order)]
-    if not bands:
-        return light.new_zeros(*light.shape[:-2], 0, height + 2, width + 2)
-    table = torch.cat(bands, -2).unflatten(-1, TABLE)
-    above = torch.cat([table[..., :1, :].roll(width // 2, -1), table, table[..., -1:, :].roll(width // 2, -1)], -2)
-    return torch.cat([above[..., -1:], above, above[..., :1]], -1)
+    return basis(directions.to(dtype), order).reshape(height * width, order * order).T.contiguous()
 
 
 def table_places(axes: Float[Tensor, "3 *D"]) -> Float[Tensor, "*D 2"]:
