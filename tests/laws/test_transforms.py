@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from one_device import faults_of, moved
 from torch.func import jacfwd, jacrev, vmap
 
 from torchprt import InputError, light, sh
@@ -54,7 +55,7 @@ CALLS = {
     "sh.product_matrix": (values(2, 9), lambda a: sh.product_matrix(a, ORDER, ORDER)),
     "sh.project_cube": (positive(2, 6, 4, 4, 3), lambda c: sh.project_cube(c, ORDER)),
     "sh.project_latlong": (positive(2, 4, 8, 3), lambda i: sh.project_latlong(i, ORDER)),
-    "sh.project_samples": (values(2, 20, 3), lambda v: sh.project_samples(v, DOWN, ORDER, torch.ones(20).double())),
+    "sh.project_samples": (values(2, 20, 3), lambda v: sh.project_samples(v, DOWN, ORDER, torch.ones_like(DOWN[:, 0]))),
     "sh.rotate": (turns(2), lambda r: sh.rotate(ONE, r)),
     "sh.rotation_bands": (turns(2), lambda r: sh.rotation_bands(r, ORDER)[-1]),
     "sh.rotation_matrix": (turns(2), lambda r: sh.rotation_matrix(r, ORDER)),
@@ -131,3 +132,13 @@ def test_jacobians_of_both_modes_agree(name):
 def test_values_are_checked_where_nothing_is_traced(bad, call, fault):
     with pytest.raises(InputError, match=fault):
         call(bad)
+
+
+@pytest.mark.usefixtures("untyped")
+@pytest.mark.parametrize("name", CALLS)
+def test_all_stays_on_the_device_of_what_is_given(name, monkeypatch):
+    given, call = CALLS[name]
+    # What the calls here take beside what they are given.
+    for other in ("DOWN", "ONE"):
+        monkeypatch.setitem(globals(), other, moved(globals()[other]))
+    assert not [fault for fault in faults_of(call, given) if "test_transforms" not in fault]

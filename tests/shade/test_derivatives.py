@@ -2,14 +2,14 @@
 
 import pytest
 import torch
-from every_shader import asked, every_transfer, lights
+from every_shader import every_transfer, lights
 from torch.autograd import gradcheck, gradgradcheck
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, vmap
 from zonal_transfers import random_zonal
 
-from torchprt.shade import EnvironmentShader, shader
 from torchprt.sh import yaw_pitch_roll
 from torchprt.sh.derivatives import _gathered, _grid_sample
+from torchprt.shade import EnvironmentShader, shader
 
 WIDE = torch.float64
 TRANSFERS = every_transfer(WIDE)

@@ -17,10 +17,12 @@ from torchprt.light.arguments import (
     as_double,
     check,
     check_order,
+    clamped_cosine,
     length,
     unit_and_colour,
     zonal_light,
 )
+from torchprt.sh.basis import band_of
 
 
 def directional(
@@ -114,7 +116,7 @@ def constant(radiance: Colour, order: int) -> Float[Tensor, "... N 3"]:
     """The same radiance from everywhere; any surface reads `radiance`, exactly, at every order."""
     check_order(order)
     _, colour = unit_and_colour((0.0, 0.0, 1.0), radiance)
-    first = sh.bands(order).to(colour.device) == 0
+    first = band_of(colour.device, order) == 0
     return torch.where(first[:, None], math.sqrt(4 * math.pi) * colour[..., None, :], 0.0)
 
 
@@ -122,5 +124,5 @@ def _facing(bands: Float[Tensor, "*B n"]) -> Float[Tensor, "*B"]:
     """Irradiance of a surface that faces a circularly symmetric light of radiance coefficients A_l."""
     order = bands.shape[-1]
     degree = torch.arange(order, dtype=bands.dtype, device=bands.device)
-    cosine = sh.clamped_cosine(order, dtype=bands.dtype).to(bands.device)
+    cosine = clamped_cosine(bands.device, order, bands.dtype)
     return (bands * cosine * (2 * degree + 1)).sum(-1) / (4 * math.pi)

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.sh.basis import values_are_at_hand
+from torchprt.sh.constant import remembered
 
 Vector = Float[Tensor, "*#B 3"] | Sequence[float | int]
 Colour = Float[Tensor, "*#B 3"] | Sequence[float | int] | float | int
@@ -20,9 +21,9 @@ def unit_and_colour(direction: Vector, radiance: Colour, name: str = "direction"
 
     Raises InputError if the direction is zero or anything is not finite.
     """
-    like = next((value for value in (direction, radiance) if isinstance(value, Tensor)), torch.empty(0))
-    vector = torch.as_tensor(direction, dtype=like.dtype, device=like.device)
-    colour = torch.as_tensor(radiance, dtype=like.dtype, device=like.device)
+    like = next((value for value in (direction, radiance) if isinstance(value, Tensor)), None)
+    dtype, device = (torch.get_default_dtype(), None) if like is None else (like.dtype, like.device)
+    vector, colour = (torch.as_tensor(value, dtype=dtype, device=device) for value in (direction, radiance))
     if vector.shape[-1:] != (3,):
         raise InputError(f"{name} must have three components, not shape {tuple(vector.shape)}")
     if colour.ndim == 0:
@@ -55,6 +56,12 @@ def as_double(value: Vector | Number, like: Tensor) -> Tensor:
 def check(name: str, value: Tensor, good: Tensor, wanted: str) -> None:
     if values_are_at_hand(value, good) and not bool(good.all()):
         raise InputError(f"{name} {wanted}, not {value.detach().tolist()}")
+
+
+@remembered(32)
+def clamped_cosine(order: int, dtype: torch.dtype) -> Float[Tensor, " n"]:
+    """`sh.clamped_cosine`, kept, on a device."""
+    return sh.clamped_cosine(order, dtype=dtype)
 
 
 def zonal_light(

@@ -215,7 +215,7 @@ def _latlong_rows(radiance, first: int, last: int, height: int, samples: int, li
 
 def _centres(count: int, like: Tensor) -> Float[Tensor, " count"]:
     # Counted in float64: float32 would place the samples of a large map by hundredths of a texel.
-    return ((torch.arange(count, dtype=torch.float64) + 0.5) / count).to(like.device, like.dtype)
+    return ((torch.arange(count, dtype=torch.float64, device=like.device) + 0.5) / count).to(like.dtype)
 
 
 def _mean(values: Float[Tensor, "b C h w"], weights: Float[Tensor, "h w"], samples: int) -> Tensor:

@@ -9,8 +9,9 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.light.analytic import disc
-from torchprt.light.arguments import Colour, Number, Vector, check, unit_and_colour, zonal_light
+from torchprt.light.arguments import Colour, Number, Vector, check, clamped_cosine, unit_and_colour, zonal_light
 from torchprt.light.sun import HALF_ANGLE, srgb_of_xyz, sun_radiance
+from torchprt.sh.constant import remembered
 
 # Perez coefficients A to E of x, y and Y: slope and intercept in turbidity.
 _PEREZ = (
@@ -59,7 +60,7 @@ def overcast_sky(
     """
     axis, zenith = unit_and_colour(up, zenith_radiance, "up")
     _, albedo = unit_and_colour(axis, ground_albedo, "up")
-    half, cosine = _half(order, axis), sh.clamped_cosine(order).to(axis.device)
+    half, cosine = _half(order, axis), clamped_cosine(axis.device, order, torch.float64)
     sky = zonal_light(axis, (half + 2 * cosine) / 3, zenith)
     return sky + zonal_light(-axis, half, 7 / 9 * albedo * zenith)
 
@@ -158,7 +159,7 @@ def _zenith_colour(angle: Tensor, haze: Tensor) -> Float[Tensor, "*B 3"]:
 
 
 def _one_zenith(up: Vector, like: Tensor) -> Float[Tensor, "3"]:
-    zenith, _ = unit_and_colour(up, 0.0, "up")
+    zenith, _ = unit_and_colour(torch.as_tensor(up, dtype=like.dtype, device=like.device), 0.0, "up")
     if zenith.ndim != 1:
         raise InputError(f"up must be one direction for all suns, not a batch of shape {tuple(zenith.shape)}")
     return zenith.to(like)
@@ -175,18 +176,25 @@ def _half(order: int, like: Tensor) -> Float[Tensor, " n"]:
 
 
 def _upper_hemisphere(zenith: Float[Tensor, "3"], order: int) -> tuple[Tensor, Tensor]:
-    """Directions above the horizon and their weights: Gauss-Legendre in height, equal steps around."""
+    """Directions above the horizon and their weights."""
+    local, weights = _about_z(zenith.device, order, zenith.dtype)
+    return local @ _frame(zenith), weights
+
+
+@remembered(4)
+def _about_z(order: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The same about +z: Gauss-Legendre in height, equal steps around."""
     import numpy as np
 
     rows = max(64, 2 * order)
     columns = 2 * rows
-    points, steps = (torch.from_numpy(a).to(zenith) for a in np.polynomial.legendre.leggauss(rows))
+    points, steps = (torch.from_numpy(a).to(dtype) for a in np.polynomial.legendre.leggauss(rows))
     height = ((points + 1) / 2)[:, None]
-    around = (torch.arange(columns).to(zenith) + 0.5) * (2 * math.pi / columns)
+    around = (torch.arange(columns).to(dtype) + 0.5) * (2 * math.pi / columns)
     radius = (1 - height * height).sqrt()
     local = torch.stack([radius * around.cos(), radius * around.sin(), height.expand(-1, columns)], dim=-1)
     weights = (steps / 2 * (2 * math.pi / columns))[:, None].expand(-1, columns)
-    return local.reshape(-1, 3) @ _frame(zenith), weights.reshape(-1)
+    return local.reshape(-1, 3), weights.reshape(-1)
 
 
 def _frame(zenith: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:

@@ -60,6 +60,12 @@ def bands(order: int) -> Int[Tensor, " N"]:
     return torch.tensor([l for l in range(order) for _ in range(2 * l + 1)])
 
 
+@remembered(64)
+def band_of(order: int) -> Int[Tensor, " N"]:
+    """`bands`, kept, on a device: not to be written into."""
+    return bands(order)
+
+
 def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions") -> None:
     """Raises InputError unless every direction has unit length within 1e-4, or the epsilon of a narrow type (zero and
     NaN included). Nothing is checked where values cannot be looked at: in a traced graph, under torch.func."""

@@ -23,8 +23,8 @@ def remembered(most: int) -> Callable[[Callable[P, R]], Callable[Concatenate[tor
 
     It makes a tensor, or a tuple of them, on the CPU, without regard for devices. What is kept is what it makes in
     `plain_torch`, so neither is it of a mode, a transform or a graph that is being traced nor does it follow a default
-    device; and it may be used in all of them: under a mode that replaces tensors (fake ones, export) it is handed to that first.
-    A graph that is compiled takes the result as a constant. `.forget()` lets go of what is kept.
+    device; and it may be used in all of them: a mode that replaces tensors (fake ones, export) is handed it first, a
+    graph that is compiled takes it as a constant. `.forget()` lets go of what is kept.
     """
 
     def decorated(make: Callable[P, R]) -> Callable[Concatenate[torch.device, P], R]:

@@ -9,6 +9,8 @@ from typing import Any, ClassVar, TypeVar
 import torch
 from torch import Tensor, nn
 
+from torchprt.errors import InputError
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -55,6 +57,11 @@ class KeepsSingle(nn.Module):
 
         def narrowed_not_here(tensor: Tensor) -> Tensor:
             made = fn(tensor)
+            if tensor.is_meta and not made.is_meta:
+                raise InputError(
+                    "a module on the meta device has no values, and no state dict holds all of them: make it again, "
+                    "on a device that is there"
+                )
             if id(tensor) in kept and made.dtype != at_least_single(made.dtype):
                 return tensor.to(made.device, torch.float32)
             return made

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.basis import bands, basis, order_of
+from torchprt.sh.basis import band_of, basis, order_of
 
 
 def clamped_cosine(order: int, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
@@ -86,14 +86,14 @@ def disc(
 def convolve(light: Float[Tensor, "*#B N C"], kernel: Float[Tensor, "*#B n"]) -> Float[Tensor, "... N C"]:
     """`light` convolved with the circularly symmetric function of band coefficients A_l `kernel`.
 
-    Leading dimensions broadcast; the result has the dtype of `light`.
+    Leading dimensions broadcast; the result has dtype and device of `light`.
     Raises InputError if N is not a square number or `kernel` does not have one coefficient a band.
     Source: Sloan, Kautz and Snyder 2002, section 3, equation 6 (Funk-Hecke).
     """
     order = order_of(light.shape[-2])
     if kernel.shape[-1] != order:
         raise InputError(f"kernel has {kernel.shape[-1]} bands but the light has order {order}: give one a band")
-    return light * kernel.to(light.dtype)[..., bands(order).to(light.device)].unsqueeze(-1)
+    return light * kernel.to(light)[..., band_of(light.device, order)].unsqueeze(-1)
 
 
 def zonal(coefficients: Float[Tensor, "*#B n"], axis: Float[Tensor, "*#B 3"]) -> Float[Tensor, "... N"]:
@@ -101,11 +101,11 @@ def zonal(coefficients: Float[Tensor, "*#B n"], axis: Float[Tensor, "*#B 3"]) ->
 
     `axis` has unit length (not checked); leading dimensions broadcast; gradients flow to both. The function
     of a distant lamp is `zonal(disc(angle, n), axis)`, of a clamped cosine about a normal
-    `zonal(clamped_cosine(n), normal)`. The result has the dtype of `axis`.
+    `zonal(clamped_cosine(n), normal)`. The result has dtype and device of `axis`.
     Source: Sloan, Luna and Snyder 2005, section 3: f_lm = A_l y_lm(axis).
     """
     order = coefficients.shape[-1]
-    return basis(axis, order) * coefficients.to(axis.dtype)[..., bands(order).to(axis.device)]
+    return basis(axis, order) * coefficients.to(axis)[..., band_of(axis.device, order)]
 
 
 def _check_order(order: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import linear
@@ -32,7 +33,9 @@ class EnvironmentShader(KeepsSingle):
         self.size = size
         self.exposure = exposure
         self.tone: ToneMap | None = tone
-        table = cube_basis(shader.order, size, dtype=shader.turn.project.dtype).to(shader.turn.project.device)
+        with torch.device("cpu"):
+            table = cube_basis(shader.order, size, dtype=shader.turn.project.dtype)
+        table = table.to(shader.turn.project.device)
         self.register_buffer("weights", table, persistent=False)
 
     def forward(

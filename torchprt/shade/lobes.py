@@ -147,7 +147,9 @@ def light_table(light: Float[Tensor, "*B N 3"], first: int) -> Float[Tensor, "*B
     if not bands:
         return light.new_zeros(*light.shape[:-2], 0, TABLE[0] + 2, TABLE[1] + 2)
     table = torch.cat(bands, -2).unflatten(-1, TABLE)
-    above = torch.cat([table[..., :1, :].roll(TABLE[1] // 2, -1), table, table[..., -1:, :].roll(TABLE[1] // 2, -1)], -2)
+    above = torch.cat(
+        [table[..., :1, :].roll(TABLE[1] // 2, -1), table, table[..., -1:, :].roll(TABLE[1] // 2, -1)], -2
+    )
     return torch.cat([above[..., -1:], above, above[..., :1]], -1)
 
 

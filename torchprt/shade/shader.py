@@ -21,11 +21,13 @@ from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Transfer
 from torchprt.words import count
 
+_MAKE_AGAIN = "make it with shader(transfer) of transfer that is loaded on a device that is there"
+
 
 class Shader(nn.Module):
     """Exit radiance of transfer: the sum of its layers, each its weight times its transfer under the light.
 
-    Made by `torchprt.shader(transfer)`. `needs` says what a call takes beside the light: "eye", "pose" (which may be
+    Made by `torchprt.shader(transfer)`, on the device of the transfer. `needs` says what a call takes beside the light: "eye", "pose" (which may be
     omitted: the rest pose). `layers`: a `LayerModule` each by name, whose buffers, or parameters if they are to be
     learned, hold the transfer.
 
@@ -45,6 +47,7 @@ class Shader(nn.Module):
         self.order = turn.order
         self.vertices = vertices
         self.estimate = estimate
+        self.register_load_state_dict_post_hook(_refuse_half_loaded)
         needs = frozenset[str]().union(*(layer.needs for layer in layers.values()))
         self.needs = needs | {"pose"} if estimate is not None else needs
 
@@ -243,17 +246,28 @@ def shader(
         dtype = torch.float32
         for layer in transfer.layers.values():
             dtype = torch.promote_types(dtype, layer.signal.dtype)
-    layers = {
-        name: layer_module(layer, Making(transfer.receivers, dtype, learned[name], given))
-        for name, layer in transfer.layers.items()
-    }
     device = transfer.positions.device
+    if device.type == "meta":
+        raise InputError(f"the transfer is on the meta device, where it has no values: {_MAKE_AGAIN}")
     estimate = None
-    if "pose" in transfer.needs:
-        estimate = DeformedFrames(transfer.positions, transfer.faces, normals=transfer.normals).to(
-            at_least_single(dtype)
-        )
+    # It is where the transfer is, whatever the default device.
+    with torch.device("cpu"):
+        layers = {
+            name: layer_module(layer, Making(transfer.receivers, dtype, learned[name], given))
+            for name, layer in transfer.layers.items()
+        }
+        if "pose" in transfer.needs:
+            estimate = DeformedFrames(transfer.positions, transfer.faces, normals=transfer.normals).to(
+                at_least_single(dtype)
+            )
     return Shader(layers, Rotation(transfer.order, dtype).to(device), transfer.vertices, estimate)
+
+
+def _refuse_half_loaded(module: nn.Module, _: Any) -> None:
+    """InputError if a state dict was assigned to a shader on the meta device, whose constants are then still there."""
+    assert isinstance(module, Shader)
+    if module.turn.project.is_meta and not next(iter(module.layers.values())).weight.is_meta:
+        raise InputError(f"the shader is on the meta device, and no state dict holds all of it: {_MAKE_AGAIN}")
 
 
 def _learned(transfer: Transfer, learnable: Mapping[str, list[str]], learn: tuple[str, ...]) -> dict[str, set[str]]:
