@@ -35,13 +35,14 @@ def lit(*shape):
 
 
 ONE = lit()
+KERNEL = sh.clamped_cosine(ORDER)
 DOWN = torch.nn.functional.normalize(values(20, 3), dim=-1)
 # What a function is called with, with a batch of two in front, and the call.
 CALLS = {
     "sh.basis": (above(2, 4), lambda d: sh.basis(d, ORDER)),
     "sh.check_directions": (above(2, 4), lambda d: (sh.check_directions(d), d)[1]),
     "sh.check_rotation": (turns(2), lambda r: (sh.check_rotation(r), r)[1]),
-    "sh.convolve": (lit(2), lambda l: sh.convolve(l, sh.clamped_cosine(ORDER))),
+    "sh.convolve": (lit(2), lambda l: sh.convolve(l, KERNEL)),
     "sh.disc": (positive(2), lambda a: sh.disc(a, ORDER)),
     "sh.evaluate": (lit(2), lambda l: sh.evaluate(l, DOWN)),
     "sh.exit_functions": (above(2, 4), lambda d: sh.exit_functions(d, ORDER)),
@@ -63,9 +64,9 @@ CALLS = {
     "sh.to_horizon": (values(2, 4, 3), sh.to_horizon),
     "sh.to_pyshtools": (lit(2), sh.to_pyshtools),
     "sh.to_sign_free": (lit(2), sh.to_sign_free),
-    "sh.window": (lit(2), lambda l: sh.window(l, sh.hann(ORDER))),
+    "sh.window": (lit(2), lambda l: sh.window(l, KERNEL)),
     "sh.yaw_pitch_roll": (values(2, 3), sh.yaw_pitch_roll),
-    "sh.zonal": (above(2), lambda a: sh.zonal(sh.clamped_cosine(ORDER), a)),
+    "sh.zonal": (above(2), lambda a: sh.zonal(KERNEL, a)),
     "light.clear_sky": (above(2), lambda s: light.clear_sky(s, 3.0, ORDER)),
     "light.clear_sky_radiance": (above(2), lambda s: light.clear_sky_radiance(DOWN, s, 3.0)),
     "light.constant": (positive(2, 3), lambda c: light.constant(c, ORDER)),
@@ -139,6 +140,6 @@ def test_values_are_checked_where_nothing_is_traced(bad, call, fault):
 def test_all_stays_on_the_device_of_what_is_given(name, monkeypatch):
     given, call = CALLS[name]
     # What the calls here take beside what they are given.
-    for other in ("DOWN", "ONE"):
+    for other in ("DOWN", "KERNEL", "ONE"):
         monkeypatch.setitem(globals(), other, moved(globals()[other]))
     assert not [fault for fault in faults_of(call, given) if "test_transforms" not in fault]

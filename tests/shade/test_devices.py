@@ -10,6 +10,7 @@ from every_shader import asked, every_transfer, lights
 from one_device import faults_of
 from zonal_transfers import random_zonal, turns
 
+from torchprt import InputError, sh
 from torchprt.pose import DeformedFrames, SkinnedMesh, nearest_rotation, surface_frames
 from torchprt.shade import EnvironmentShader, display, shader
 from torchprt.shade.display import TONES
@@ -83,3 +84,47 @@ def test_poses_stay_on_their_device():
     assert not faults_of(nearest_rotation, turns(3))
     uv = transfer.positions[:, :2].contiguous()
     assert not faults_of(surface_frames, transfer.positions, transfer.faces, uv, transfer.normals)
+
+
+@pytest.mark.parametrize("name", [name for name in TRANSFERS if name.endswith("1")])
+def test_a_shader_is_where_its_transfer_is_whatever_the_default_device(name):
+    wanted = EnvironmentShader(shader(TRANSFERS[name]), 4)
+    with torch.device("meta"):
+        module = EnvironmentShader(shader(TRANSFERS[name]), 4)
+    look = asked(module.shader.needs, module.shader.vertices, 2)
+    given = torch.rand(2, 6, 4, 4, 3), turns(2)
+    with torch.device("meta"):
+        found = module(*given, **look)
+    assert torch.equal(found, wanted(*given, **look))
+
+
+def test_what_has_no_values_is_refused_in_one_sentence():
+    transfer = TRANSFERS["exit clustered 1"]
+    with pytest.raises(InputError, match="transfer is on the meta device"):
+        shader(transfer.to("meta"))
+    with pytest.raises(InputError, match="on the meta device has no values"):
+        shader(transfer).to("meta").to_empty(device="cpu")
+    with pytest.raises(InputError, match="no state dict holds all of it"):
+        shader(transfer).to("meta").load_state_dict(shader(transfer).state_dict(), assign=True)
+
+
+@pytest.mark.parametrize("light", [torch.zeros(16, 3, dtype=torch.float64), torch.zeros(16, 3, dtype=torch.int64)])
+def test_a_light_that_does_not_fit_the_numbers_of_the_shader_is_refused_in_one_sentence(light):
+    module = shader(TRANSFERS["exit dense 1"])
+    for call in (lambda: module(light, view=torch.ones(3)), lambda: module.fix_light(light)):
+        with pytest.raises(InputError, match="convert the light"):
+            call()
+
+
+def test_nothing_is_looked_at_while_a_cuda_graph_is_captured(monkeypatch):
+    module = shader(TRANSFERS["exit dense 1"])
+    wrong = {"rotation": 2 * torch.eye(3), "view": torch.zeros(3)}
+    with pytest.raises(InputError, match="orthogonal"):
+        module(lights(), **wrong)
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    module(lights(), **wrong)
+    sh.check_directions(torch.zeros(3))
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: False)
+    with pytest.raises(InputError, match="orthogonal"):
+        module(lights(), **wrong)

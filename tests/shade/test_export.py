@@ -1,4 +1,4 @@
-"""Does `torch.export` take every shader with a free batch, and is what it makes the same at any size, saved and read?"""
+"""Does `torch.export` take every shader with a free batch, and is the program the same at any size, and read again?"""
 
 import inspect
 import io

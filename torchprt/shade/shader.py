@@ -27,9 +27,9 @@ _MAKE_AGAIN = "make it with shader(transfer) of transfer that is loaded on a dev
 class Shader(nn.Module):
     """Exit radiance of transfer: the sum of its layers, each its weight times its transfer under the light.
 
-    Made by `torchprt.shader(transfer)`, on the device of the transfer. `needs` says what a call takes beside the light: "eye", "pose" (which may be
-    omitted: the rest pose). `layers`: a `LayerModule` each by name, whose buffers, or parameters if they are to be
-    learned, hold the transfer.
+    Made by `torchprt.shader(transfer)`, on the device of the transfer. `needs` says what a call takes beside the light:
+    "eye", "pose" (which may be omitted: the rest pose). `layers`: a `LayerModule` each by name, whose buffers, or
+    parameters if they are to be learned, hold the transfer.
 
     Laws: linear in `light`; turning the light and asking for `rotation` are the same; light, eye and pose turned
     together change nothing; channels do not mix.
