@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable, no_room
+from torchprt.files import atomic, check_writable, fault_of_disk
 
 
 def half_write(path, fault):
@@ -73,7 +73,7 @@ def test_asking_whether_a_file_can_be_written_writes_none(tmp_path):
     with pytest.raises(InputError, match="is a folder"):
         check_writable(tmp_path / "b.npy", (".npy",))
     (tmp_path / "c").write_text("a file, not a folder")
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="c is a file, not a folder"):
         check_writable(tmp_path / "c" / "a.npy", (".npy",))
 
 
@@ -124,14 +124,19 @@ def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, tm
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "number"),
     [
-        (OSError(errno.ENOSPC, "No space left on device"), True),
-        (RuntimeError("I/O error: No space left on device (os error 28)"), True),
-        (OSError(errno.EACCES, "Permission denied"), False),
-        (RuntimeError("Permission denied (os error 13)"), False),
-        (ValueError("28"), False),
+        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
+        (RuntimeError("I/O error: No space left on device (os error 28)"), errno.ENOSPC),
+        (RuntimeError('Failed to write pixel data to image file "a.exr". No space left on device.'), errno.ENOSPC),
+        (OSError("9 requested and 3 written"), errno.ENOSPC),
+        (OSError(errno.EACCES, "Permission denied"), errno.EACCES),
+        (RuntimeError("Permission denied (os error 13)"), errno.EACCES),
+        (ValueError("28"), None),
+        (ValueError("9 requested and 3 written"), None),
+        (RuntimeError("a bug"), None),
     ],
 )
-def test_only_a_disk_without_room_is_told_as_one(fault, told):
-    assert no_room(fault) == (os.strerror(errno.ENOSPC) if told else None)
+def test_only_faults_of_the_disk_are_told_as_such(fault, number):
+    said = fault_of_disk(fault)
+    assert (said and said[0]) == (None if number is None else os.strerror(number))

@@ -56,10 +56,24 @@ app = typer.Typer(
 )
 
 
+def _hushed(asked: bool) -> None:
+    if asked:
+        # A variable, because it also holds for workers; `main` takes it back.
+        os.environ[QUIET] = "1"
+
+
 def _version(asked: bool | None) -> None:
     if asked:
         answer(f"torchprt {VERSION}")
         raise typer.Exit
+
+
+Quiet = Annotated[
+    bool,
+    typer.Option(
+        "-q", "--quiet", callback=_hushed, help=f"Tell nothing but faults; as the environment variable {QUIET}=1."
+    ),
+]
 
 
 @app.callback(help="Precomputed radiance transfer: bake meshes once, light them in real time, export them.")
@@ -67,13 +81,8 @@ def _options(
     version: Annotated[
         bool | None, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = None,
+    quiet: Quiet = False,
 ) -> None: ...
-
-
-Quiet = Annotated[
-    bool,
-    typer.Option("-q", "--quiet", help=f"Tell nothing but faults; as the environment variable {QUIET}=1."),
-]
 
 
 def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
@@ -81,16 +90,7 @@ def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(verb)
     def run(*arguments: Any, quiet: bool, **options: Any) -> None:
-        before = os.environ.get(QUIET)
-        if quiet:
-            # A variable, because it also holds for workers.
-            os.environ[QUIET] = "1"
-        try:
-            verb(*arguments, **options)
-        finally:
-            if quiet:
-                os.environ.pop(QUIET)
-                os.environ.update({} if before is None else {QUIET: before})
+        verb(*arguments, **options)
 
     signature = completed(verb)
     common = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Quiet)
@@ -104,11 +104,15 @@ for verb in VERBS:
 
 def main() -> None:
     """Runs the command. Faults of the input are one sentence on standard error and exit code 2."""
-    with warnings.catch_warnings():
-        # Without the file and the line of the code that warns.
-        warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
-        try:
+    before = os.environ.get(QUIET)
+    try:
+        with warnings.catch_warnings():
+            # Without the file and the line of the code that warns.
+            warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
             app()
-        except InputError as fault:
-            complain(fault)
-            sys.exit(2)
+    except InputError as fault:
+        complain(fault)
+        sys.exit(2)
+    finally:
+        os.environ.pop(QUIET, None)
+        os.environ.update({} if before is None else {QUIET: before})

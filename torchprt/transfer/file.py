@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.suffixes import refuse_other
+from torchprt.suffixes import check_readable, refuse_other
 from torchprt.transfer.format1 import from_format1
 from torchprt.transfer.layer import Layer
 from torchprt.transfer.layout import Part
@@ -69,9 +69,7 @@ def load(path: str | os.PathLike[str]) -> Transfer:
     kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
     value that is not finite.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} does not exist: give a file that `torchprt bake` wrote")
+    path = check_readable(path, "give a file that `torchprt bake` wrote")
     refuse_other(path, "a transfer")
     try:
         with safe_open(path, framework="pt") as file:
