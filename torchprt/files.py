@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import re
 import shutil
@@ -11,10 +12,14 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchprt.errors import InputError
 from torchprt.suffixes import nearest
 from torchprt.words import either
+
+if TYPE_CHECKING:
+    import numpy as np
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FREE = "free some space, then do the same again"
@@ -73,6 +78,15 @@ def write(path: str | os.PathLike[str], content: bytes) -> None:
     """Writes `content` as by `atomic`: for libraries that do not notice when the disk takes only a part."""
     with atomic(path) as temporary:
         temporary.write_bytes(content)
+
+
+def write_array(path: str | os.PathLike[str], array: np.ndarray) -> None:
+    """Writes an `.npy`, whatever the suffix; numpy itself does not notice when a disk does not take the last part."""
+    import numpy
+
+    stream = io.BytesIO()
+    numpy.save(stream, array)
+    write(path, stream.getvalue())
 
 
 @contextlib.contextmanager

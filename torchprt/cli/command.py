@@ -56,10 +56,11 @@ app = typer.Typer(
 )
 
 
-def _hushed(asked: bool) -> None:
+def _hushed(asked: bool) -> bool:
     if asked:
         # A variable, because it also holds for workers; `main` takes it back.
         os.environ[QUIET] = "1"
+    return asked
 
 
 def _version(asked: bool | None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write_array
 from torchprt.sh import order_of
 from torchprt.suffixes import check_readable
 
@@ -53,6 +52,4 @@ def read_coefficients(path: str | os.PathLike[str], order: int | None = None) ->
 
 def write_coefficients(light: Float[Tensor, "N 3"], path: str | os.PathLike[str]) -> None:
     """Writes a light as float32 `.npy`. Raises InputError if `path` cannot be written."""
-    # A stream, because numpy puts .npy behind any other suffix.
-    with atomic(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.save(stream, light.detach().cpu().to(torch.float32).numpy())
+    write_array(path, light.detach().cpu().to(torch.float32).numpy())
