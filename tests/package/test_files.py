@@ -3,13 +3,16 @@
 import errno
 import os
 import stat
-import subprocess
 import sys
 
+import numpy as np
 import pytest
+import torch
+from faults import room_for
+from safetensors.torch import save_file
 
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable, fault_of_disk
+from torchprt.files import CannotWrite, atomic, check_writable, fault_of_disk
 
 
 def half_write(path, fault):
@@ -85,40 +88,24 @@ def test_names_without_a_folder_are_of_the_folder_one_is_in(tmp_path, monkeypatc
     assert (tmp_path / "a.npy").read_text() == "new"
 
 
-FULL = """
-import resource, sys
-from pathlib import Path
-
-import numpy, torch
-from safetensors.torch import save_file
-from torchprt.errors import InputError
-from torchprt.files import atomic
-
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-path = Path(sys.argv[1])
-writers = {
-    "numpy": lambda to: numpy.zeros(4096).tofile(to),
-    "python": lambda to: to.write_bytes(bytes(8192)),
-    "safetensors": lambda to: save_file({"a": torch.zeros(4096)}, to),
-}
-try:
-    with atomic(path) as temporary:
-        writers[sys.argv[2]](temporary)
-except InputError as fault:
-    print(fault)
-"""
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
-@pytest.mark.parametrize("writer", ["numpy", "python", "safetensors"])
-def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, tmp_path):
+@pytest.mark.parametrize(
+    ("writer", "number"),
+    [
+        (lambda to: to.write_bytes(bytes(8192)), errno.EFBIG),
+        (lambda to: save_file({"a": torch.zeros(4096)}, to), errno.EFBIG),
+        # numpy does not know why it wrote less than it should.
+        (lambda to: np.zeros(4096).tofile(to), errno.ENOSPC),
+    ],
+    ids=["python", "safetensors", "numpy"],
+)
+def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, number, tmp_path):
     path = tmp_path / "a.npy"
     path.write_text("former")
-    command = [sys.executable, "-c", FULL, path, writer]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    # numpy does not know why it wrote less than it should.
-    reason = os.strerror(errno.ENOSPC if writer == "numpy" else errno.EFBIG)
-    assert ended.stdout == f"{path} cannot be written ({reason}): free some space, then do the same again\n"
+    with room_for(4096), pytest.raises(CannotWrite) as caught, atomic(path) as temporary:
+        writer(temporary)
+    reason = os.strerror(number)
+    assert str(caught.value) == f"{path} cannot be written ({reason}): free some space, then do the same again"
     assert path.read_text() == "former"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
 

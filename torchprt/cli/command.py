@@ -25,10 +25,11 @@ from torchprt.cli.light import light
 from torchprt.cli.patch import patch
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
-from torchprt.cli.report import answer, complain
+from torchprt.cli.report import answer, complain, unheard
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
 from torchprt.errors import InputError
+from torchprt.files import NO_ROOM
 from torchprt.progress import QUIET, quiet
 from torchprt.version import VERSION
 
@@ -113,6 +114,12 @@ def main() -> None:
             app()
     except InputError as fault:
         complain(fault)
+        sys.exit(2)
+    except OSError as fault:
+        # Usage and help are printed by a library.
+        if fault.filename is not None or fault.errno not in NO_ROOM:
+            raise
+        complain(unheard(fault))
         sys.exit(2)
     finally:
         os.environ.pop(QUIET, None)

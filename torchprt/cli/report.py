@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from torchprt.files import CannotWrite
 from torchprt.progress import quiet
@@ -32,8 +32,13 @@ def answer(what: Any) -> None:
         # Who listened has heard enough, as `head` does; the work goes on. Python itself would complain at its end.
         _to_nobody(sys.stdout)
     except OSError as fault:
-        _to_nobody(sys.stdout)
-        raise CannotWrite("standard output", str(fault.strerror), "send it elsewhere") from fault
+        raise unheard(fault) from fault
+
+
+def unheard(fault: OSError) -> CannotWrite:
+    """That standard output goes where there is no room. Nothing more is sent there."""
+    _to_nobody(sys.stdout)
+    return CannotWrite("standard output", str(fault.strerror), "send it elsewhere")
 
 
 def complain(what: Any) -> None:
@@ -44,7 +49,7 @@ def complain(what: Any) -> None:
         _to_nobody(sys.stderr)
 
 
-def _to_nobody(stream: TextIO) -> None:
+def _to_nobody(stream: Any) -> None:
     """From here on a stream of this process goes nowhere."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
