@@ -66,7 +66,10 @@ def atomic(path: str | os.PathLike[str], *, durable: bool = True) -> Iterator[Pa
     with sentences(named):
         try:
             os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            mode = temporary.stat().st_mode
             yield temporary
+            # Writers may have put a private file of their own in its place.
+            temporary.chmod(stat.S_IMODE(mode))
             if durable:
                 _to_disk(temporary)
             temporary.replace(target)

@@ -49,10 +49,14 @@ def test_the_file_has_the_permissions_of_any_new_file(tmp_path):
     try:
         with atomic(tmp_path / "a.bin"):
             pass
+        # It puts a private file of its own in the place of the one that is there.
+        with atomic(tmp_path / "b.bin") as temporary:
+            save_file({"a": torch.zeros(3)}, temporary)
         assert os.umask(0o027) == 0o027
     finally:
         os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a.bin").stat().st_mode) == 0o640
+    for name in ("a.bin", "b.bin"):
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o640
 
 
 def test_refuses_a_folder_and_a_place_in_a_folder_that_is_missing(tmp_path):

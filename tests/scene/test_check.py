@@ -85,7 +85,11 @@ def test_what_is_said_of_vertices_without_a_normal_is_what_a_bake_makes_of_them(
     assert "1 vertex of faces without a usable normal: turned or filled by a bake" in str(mesh.report)
     assert "1 vertex of no face and no normal: will receive no light." in str(mesh.report)
     baked = [
-        bake(Scene([Object(mesh)]), order=2, rays=64, threads=1, progress=False, **how).vectors[0].abs().amax(0)
+        bake(Scene([Object(mesh)]), order=2, rays=64, threads=1, progress=False, **how)
+        .layers["diffuse"]
+        .signal.values[0]
+        .abs()
+        .amax(0)
         for how in ({}, {"raw": True}, {"shadows": False})
     ]
     assert baked[0][8] > 0.1
