@@ -91,3 +91,11 @@ def make_transfer() -> "Callable[..., Transfer]":
         )
 
     return make
+
+
+@pytest.fixture
+def fresh(untyped):
+    """A compiler that has seen nothing: it gives up after eight modules of one class."""
+    torch.compiler.reset()
+    yield
+    torch.compiler.reset()

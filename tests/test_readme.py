@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 
 
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+def blocks(language, page=README):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +64,13 @@ def test_the_snippet_in_python(folder, monkeypatch):
     # The studio is no symmetric room: a quarter turn changes the picture.
     assert (names["radiance"] - names["turned"]).abs().max() > 0.05 * names["radiance"].max()
     assert len(read_mesh("lit.ply").positions) == vertices
+
+
+def test_the_page_on_torch_runs(untyped):
+    names: dict = {}
+    for block in blocks("python", ROOT / "docs" / "torch.md"):
+        exec(block, names)
+    assert "functional_call" in block
 
 
 PAGES = [README, ROOT / "CONTRIBUTING.md", ROOT / "export" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

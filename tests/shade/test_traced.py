@@ -11,7 +11,7 @@ from torchprt.shade.display import TONES
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_shader_compiles_as_one_graph(make_transfer, untyped, channels):
+def test_a_shader_compiles_as_one_graph(make_transfer, fresh, channels):
     module = shader(make_transfer(order=3, channels=channels))
     light = torch.randn(2, 9, 3, generator=torch.Generator().manual_seed(0))
     rotation = yaw_pitch_roll(torch.tensor([[0.0, 0.0, 0.0], [40.0, 50.0, 60.0]]))
@@ -21,20 +21,12 @@ def test_a_shader_compiles_as_one_graph(make_transfer, untyped, channels):
 
 
 @pytest.mark.parametrize("tone", TONES)
-def test_the_graph_from_cube_map_to_picture_compiles_as_one_graph(make_transfer, untyped, tone):
+def test_the_graph_from_cube_map_to_picture_compiles_as_one_graph(make_transfer, fresh, tone):
     module = EnvironmentShader(shader(make_transfer(order=3)), 4, tone=tone)
     environment = torch.rand(2, 6, 4, 4, 3, generator=torch.Generator().manual_seed(0))
     rotation = yaw_pitch_roll(torch.tensor([[0.0, 0.0, 0.0], [40.0, 50.0, 60.0]]))
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
     assert torch.allclose(compiled(environment, rotation), module(environment, rotation), rtol=1e-5, atol=1e-6)
-
-
-@pytest.fixture
-def fresh(untyped):
-    """Every module here is a new one of few classes, and the compiler gives up after eight."""
-    torch.compiler.reset()
-    yield
-    torch.compiler.reset()
 
 
 def some():

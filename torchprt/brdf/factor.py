@@ -13,6 +13,7 @@ from torchprt import sh
 from torchprt.brdf.matrix import exit_kernel, exit_radiance
 from torchprt.brdf.models import Brdf
 from torchprt.errors import InputError
+from torchprt.sh.precision import widened
 
 _DEFAULT_ERROR = 0.05
 # The order of the polynomials that view factors are made of is raised until they lose no more than this, relative.
@@ -126,8 +127,9 @@ def sample_hemisphere_map(table: Float[Tensor, "K H H"], view: Float[Tensor, "*D
     Continuous everywhere. A smooth function is off by the square of a texel, at the kinks of the map, its diagonals, by
     a texel: with 32 texels a side a cosine of amplitude 1 is off by .004 RMS and by .075 at the four corners.
     Plain gathers and products: it exports, and gradients flow to both. Below the horizon the result means nothing but
-    stays finite.
+    stays finite. Read in float32 at least, the result in the dtype of `table`.
     """
+    view = widened(view)
     size = table.shape[-1]
     shrink = torch.rsqrt(1 + view[..., 2].clamp(min=0))
     x, y = view[..., 0] * shrink, view[..., 1] * shrink
@@ -147,4 +149,4 @@ def sample_hemisphere_map(table: Float[Tensor, "K H H"], view: Float[Tensor, "*D
     bottom, bottom_right = texels[:, index + size], texels[:, index + size + 1]
     upper = top + right * (top_right - top)
     lower = bottom + right * (bottom_right - bottom)
-    return (upper + down * (lower - upper)).movedim(0, -1)
+    return (upper + down * (lower - upper)).movedim(0, -1).to(table.dtype)

@@ -6,6 +6,7 @@ import math
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from torchprt.onnx.signal import SignalGraph, fold, signal_graph
 from torchprt.shade import ZonalSignal
@@ -32,7 +33,9 @@ class ZonalGraph(SignalGraph):
             weights = folded.unsqueeze(1)
         exact, coefficients = weights.split([apart, lobes * bands], 2)
         coefficients = coefficients.unflatten(2, (lobes, bands))
-        parts = zip(signal.axis, coefficients.unbind(1), exact.unbind(1), strict=True)
+        # The graph takes them as they are.
+        axis = normalize(signal.axis.detach().double(), dim=2)
+        parts = zip(axis, coefficients.unbind(1), exact.unbind(1), strict=True)
         self.rows = nn.ModuleList(LobeGraph(*part) for part in parts)
         self.register_buffer("weight", left)
 

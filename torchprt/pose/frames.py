@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.pose.gather import pick, rows_of
+from torchprt.sh.precision import KeepsSingle, widened
 
 # Normals of copies of a vertex are the same when they are rounded to this.
 SAME_NORMAL = 1e-3
@@ -25,7 +26,7 @@ def deformed_frames(
     return DeformedFrames(rest.to(torch.promote_types(rest.dtype, posed.dtype)), faces, normals=normals)(posed)
 
 
-class DeformedFrames(nn.Module):
+class DeformedFrames(KeepsSingle):
     """The rotations of a mesh at its vertices; what only depends on the rest pose is done once, here.
 
     At a vertex the deformation gradient takes the tangent plane by the gradients of its triangles, weighted with their
@@ -48,6 +49,7 @@ class DeformedFrames(nn.Module):
     animation and polar decomposition".
     """
 
+    single = ("rest", "basis", "slopes")
     rest: Tensor
     faces: Tensor
     basis: Tensor
@@ -99,7 +101,7 @@ class DeformedFrames(nn.Module):
         face = torch.where(sides < 0, face + len(corners), face)
         nothing = len(corners) * (2 if self.opposes else 1)
         for name, value in (
-            ("rest", rest.detach()),
+            ("rest", rest.detach().to(wide)),
             ("still", still),
             ("faces", corners.T.reshape(-1).int()),
             ("basis", basis.to(wide)),
@@ -112,7 +114,7 @@ class DeformedFrames(nn.Module):
         self.vertices = count
 
     def forward(self, posed: Float[Tensor, "*B V 3"]) -> Float[Tensor, "*B V 3 3"]:
-        """Frames `[*B, V, 3, 3]` of poses `[*B, V, 3]`; memory has vertices last.
+        """Frames `[*B, V, 3, 3]` of poses `[*B, V, 3]`, in float32 at least; memory has vertices last.
 
         Raises InputError if there are not as many positions as vertices.
         """
@@ -121,6 +123,7 @@ class DeformedFrames(nn.Module):
                 f"positions have shape {list(posed.shape)}: the rest pose has {self.vertices} vertices, give "
                 f"[..., {self.vertices}, 3]"
             )
+        posed = widened(posed)
         identity = torch.eye(3, dtype=posed.dtype, device=posed.device).reshape(3, 3, *(1,) * (posed.ndim - 1))
         if not len(self.faces):
             return identity.expand(3, 3, *posed.shape[:-1]).movedim((0, 1), (-2, -1))

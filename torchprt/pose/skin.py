@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.pose.frames import nearest_rotation
 from torchprt.sh.basis import values_are_at_hand
+from torchprt.sh.precision import KeepsSingle, widened, without_autocast
 
 
-class SkinnedMesh(nn.Module):
+class SkinnedMesh(KeepsSingle):
     """Linear blend skinning: where the vertices are, and how they have turned, from the transforms of joints.
 
     The transform of a vertex is the weighted mean of those of its joints; its frame is the rotation nearest to the
@@ -27,6 +28,7 @@ class SkinnedMesh(nn.Module):
     object grasping"; Sloan, Luna and Snyder 2005, section 6 (the bat).
     """
 
+    single = ("positions", "weights")
     positions: Tensor
     weights: Tensor
 
@@ -79,14 +81,19 @@ class SkinnedMesh(nn.Module):
             bottom = transforms.new_tensor([0.0, 0.0, 0.0, 1.0])
             if not bool(transforms.isfinite().all() & (transforms[..., 3, :] - bottom).abs().le(1e-4).all()):
                 raise InputError("transforms must be finite, with a last row of 0, 0, 0, 1: give affine matrices")
-        rows = transforms[..., :3, :].movedim(-3, -1)
-        blended = rows @ self.weights.mT.to(rows.dtype)
+        rows = widened(transforms[..., :3, :]).movedim(-3, -1)
+        blended = _blended(rows, self.weights.mT.to(rows.dtype))
         blended = blended.movedim((-3, -2), (0, 1))
         points = self.positions.mT.to(rows.dtype)
         points = points.reshape(3, *(1,) * (blended.ndim - 3), points.shape[-1])
         moved = (blended[:, :3] * points).sum(1) + blended[:, 3]
         frames = nearest_rotation(blended[:, :3].movedim((0, 1), (-2, -1)))
         return moved.movedim(0, -1), frames
+
+
+@without_autocast
+def _blended(rows: Tensor, weights: Tensor) -> Tensor:
+    return rows @ weights
 
 
 def _spread(weights: Tensor, joints: Tensor, count: int | None) -> Tensor:

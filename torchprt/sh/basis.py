@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh.precision import widened
 
 _CONSTANT = math.sqrt(0.25 / math.pi)
 _LINEAR = math.sqrt(0.75 / math.pi)
@@ -20,7 +21,7 @@ def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"
     with components first, `[N, *D]`, the layout in which both evaluation and the product with a light are
     fast. Polynomials in x, y, z through a normalised recurrence, without angles: exact at the poles, with
     finite gradients everywhere. Directions are not checked (see `check_directions`): where they are not of
-    unit length the result means nothing.
+    unit length the result means nothing. Of directions narrower than float32 it is worked out in float32.
 
     Raises InputError if `order` is below 1.
     Source: Sloan, Kautz and Snyder 2002, section 3, equation 1, written as Q_l^m(z) times the real or
@@ -28,9 +29,10 @@ def basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Tensor, "*D N"
     """
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
-    along, across = _recurrence(order, directions.dtype, directions.device)
+    wide = widened(directions)
+    along, across = _recurrence(order, wide.dtype, directions.device)
     build = _in_place if only_values_are_wanted(directions) else _functional
-    components = build(directions.reshape(-1, 3).T.contiguous(), along, across, order)
+    components = build(wide.reshape(-1, 3).T.contiguous(), along, across, order).to(directions.dtype)
     return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
 
 
@@ -59,8 +61,10 @@ def bands(order: int) -> Int[Tensor, " N"]:
 
 
 def check_directions(directions: Float[Tensor, "*D 3"], name: str = "directions") -> None:
-    """Raises InputError unless every direction has unit length within 1e-4 (zero and NaN included)."""
-    if not bool((torch.linalg.vector_norm(directions, dim=-1) - 1).abs().le(1e-4).all()):
+    """Raises InputError unless every direction has unit length within 1e-4, or the epsilon of a narrow type (zero and
+    NaN included)."""
+    tolerance = max(1e-4, torch.finfo(directions.dtype).eps)
+    if not bool((torch.linalg.vector_norm(widened(directions), dim=-1) - 1).abs().le(tolerance).all()):
         raise InputError(f"{name} must be finite and of unit length: normalise them and remove zero vectors")
 
 

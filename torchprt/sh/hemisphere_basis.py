@@ -13,6 +13,7 @@ from torchprt.errors import InputError
 from torchprt.sh.basis import basis, only_values_are_wanted
 from torchprt.sh.constant import constant
 from torchprt.sh.hemisphere import DISCARDED
+from torchprt.sh.precision import widened
 
 Projection = Literal["optimal", "reduced", "zero", "odd", "even"]
 
@@ -33,9 +34,10 @@ def hemisphere_basis(directions: Float[Tensor, "*D 3"], order: int) -> Float[Ten
     """
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
-    tables = _tables(order, directions.dtype, directions.device)
+    wide = widened(directions)
+    tables = _tables(order, wide.dtype, directions.device)
     build = _in_place if only_values_are_wanted(directions) else _functional
-    components = build(directions.reshape(-1, 3).T.contiguous(), tables, order)
+    components = build(wide.reshape(-1, 3).T.contiguous(), tables, order).to(directions.dtype)
     return components.reshape(order * order, *directions.shape[:-1]).movedim(0, -1)
 
 

@@ -9,11 +9,13 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.constant import constant
+from torchprt.sh.precision import at_least_single, without_autocast
 
 # From here on the recurrence runs in float64 even for float32 input.
 _LAST_FLOAT32_ORDER = 20
 
 
+@without_autocast
 def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float[Tensor, "*B rows columns"], ...]:
     """The matrix D_l(R) of every band l < `order`, `[*B, 2l + 1, 2l + 1]`: y_l(R s) = D_l(R) y_l(s).
 
@@ -28,7 +30,7 @@ def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float
     if order < 1:
         raise InputError(f"order must be at least 1, not {order}")
     dtype = rotation.dtype
-    exact = torch.float64 if dtype == torch.float32 and order > _LAST_FLOAT32_ORDER else dtype
+    exact = at_least_single(dtype) if order <= _LAST_FLOAT32_ORDER else torch.float64
     # Rotations last: every band is then one matrix product with a constant on the left.
     turn = rotation.reshape(-1, 3, 3).movedim(0, -1).to(exact)
     bands = [torch.ones_like(turn[:1, :1])]

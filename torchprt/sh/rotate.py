@@ -11,9 +11,11 @@ from torchprt.errors import InputError
 from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
 from torchprt.sh.constant import constant
 from torchprt.sh.euler import turn_by_euler
+from torchprt.sh.precision import KeepsSingle, at_least_single, widened, without_autocast
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
 
 
+@without_autocast
 def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) -> Float[Tensor, "... N C"]:
     """SH coefficients of an environment turned by `rotation`; leading dimensions broadcast.
 
@@ -25,28 +27,34 @@ def rotate(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) 
     faster for many lights of order 6 to 32. Where a graph is traced or a gradient recorded, quadrature of degree
     2(n - 1), as in `Rotation`: a polynomial in the nine numbers of `rotation`, so without gimbal cases.
 
-    Raises InputError if N is not a square number, if the dtypes differ or, outside a traced graph, if `rotation`
-    is not a proper rotation within 1e-4. Inside a graph use `Rotation`, which holds its constants as buffers.
+    What is narrower than float32 is turned in float32, also under autocast, and the result has the dtype of `light`; a
+    rotation that was rounded to a narrow type is brought back to the nearest one first.
+    Raises InputError if N is not a square number, if one is float64 and the other is not or, outside a traced graph, if
+    `rotation` is not a proper rotation (see `check_rotation`). Inside a graph use `Rotation`, which holds its constants
+    as buffers.
     Source: Sloan, Kautz and Snyder 2002, section 3, equation 4.
     """
     order = order_of(light.shape[-2])
-    if light.dtype != rotation.dtype:
+    wide = at_least_single(light.dtype)
+    if wide != at_least_single(rotation.dtype):
         raise InputError(f"light is {light.dtype} but rotation is {rotation.dtype}: convert one of them")
     if values_are_at_hand():
         check_rotation(rotation)
-    if only_values_are_wanted(light, rotation):
-        return turn_by_euler(light, rotation)
-    return _turn(light, rotation, _constants(order, light.dtype, light.device), order)
+    exact, turn = light.to(wide), whole_rotation(rotation)
+    if only_values_are_wanted(exact, turn):
+        return turn_by_euler(exact, turn).to(light.dtype)
+    return _turn(exact, turn, _constants(order, wide, light.device), order).to(light.dtype)
 
 
-class Rotation(torch.nn.Module):
+class Rotation(KeepsSingle):
     """`rotate` for lights of one order, its constants as buffers: for graphs that are compiled or exported.
 
     `forward(light [*B, N, C], rotation [*B, 3, 3]) -> [*B, N, C]`, plain operations only, the same ones whether
-    a graph is traced or not; no check of `rotation`.
-    Raises InputError if `order` is below 1.
+    a graph is traced or not; no check of `rotation`. The constants are float32 at least.
+    Raises InputError if `order` is below 1, or light or rotation is float64 and the constants are not.
     """
 
+    single = ("points", "parity", "project")
     points: Tensor
     parity: Tensor
     project: Tensor
@@ -54,23 +62,49 @@ class Rotation(torch.nn.Module):
     def __init__(self, order: int, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
         self.order = order
-        constants = _build_constants(order, dtype, torch.device("cpu"))
-        for name, values in zip(("points", "parity", "project"), constants, strict=True):
+        constants = _build_constants(order, at_least_single(dtype), torch.device("cpu"))
+        for name, values in zip(self.single, constants, strict=True):
             self.register_buffer(name, values, persistent=False)
 
     def forward(self, light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 3 3"]) -> Float[Tensor, "... N C"]:
-        return _turn(light, rotation, (self.points, self.parity, self.project), self.order)
+        wide = self.project.dtype
+        for name, values in (("light", light), ("rotation", rotation)):
+            if at_least_single(values.dtype) != wide:
+                raise InputError(f"{name} is {values.dtype} but the constants of the rotation are {wide}: convert one")
+        constants = (self.points, self.parity, self.project)
+        return _turn(light.to(wide), whole_rotation(rotation), constants, self.order).to(light.dtype)
 
 
 def check_rotation(rotation: Float[Tensor, "*B 3 3"], name: str = "rotation") -> None:
-    """Raises InputError unless every matrix is orthogonal within 1e-4 and proper (no reflection)."""
+    """Raises InputError unless every matrix is orthogonal and proper (no reflection).
+
+    Orthogonal within 1e-4, or within what a rotation loses that is rounded to a narrow type: 2 epsilons of it.
+    """
+    tolerance = max(1e-4, 2 * torch.finfo(rotation.dtype).eps)
     # Rotations last: nine long streams, many times faster than a thousand products and determinants of 3x3.
-    rows = rotation.reshape(-1, 9).T.contiguous().reshape(3, 3, -1)
-    identity = torch.eye(3, dtype=rotation.dtype, device=rotation.device).unsqueeze(-1)
-    if not bool(((rows.unsqueeze(1) * rows).sum(2) - identity).abs().le(1e-4).all()):
-        raise InputError(f"{name} must be orthogonal within 1e-4: remove scale and shear, and non-finite values")
+    rows = widened(rotation).reshape(-1, 9).T.contiguous().reshape(3, 3, -1)
+    identity = torch.eye(3, dtype=rows.dtype, device=rows.device).unsqueeze(-1)
+    if not bool(((rows.unsqueeze(1) * rows).sum(2) - identity).abs().le(tolerance).all()):
+        within = "1e-4" if tolerance == 1e-4 else f"{tolerance:.2g}"
+        raise InputError(f"{name} must be orthogonal within {within}: remove scale and shear, and non-finite values")
     if not bool((torch.linalg.cross(rows[0], rows[1], dim=0) * rows[2]).sum(0).gt(0).all()):
         raise InputError(f"{name} holds a reflection (determinant -1): give a proper rotation")
+
+
+def whole_rotation(rotation: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 3 3"]:
+    """`rotation` in float32 at least; one that was rounded to a narrow type as the nearest rotation, to 1e-8.
+
+    Source: Higham 2008, "Functions of matrices", section 8.3 (two steps of Newton and Schulz's iteration: what is off
+    by e is then off by e^4).
+    """
+    wide = widened(rotation)
+    if wide.dtype == rotation.dtype:
+        return rotation
+    for _ in range(2):
+        gram = (wide.unsqueeze(-1) * wide.unsqueeze(-2)).sum(-3)
+        # `wide @ gram`, without the overhead and the autocast of products of 3x3.
+        wide = 1.5 * wide - 0.5 * (wide.unsqueeze(-1) * gram.unsqueeze(-3)).sum(-2)
+    return wide
 
 
 def yaw_pitch_roll(degrees: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
@@ -85,6 +119,7 @@ def yaw_pitch_roll(degrees: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     return torch.stack(rows, -2)
 
 
+@without_autocast
 def _turn(light: Tensor, rotation: Tensor, constants: tuple[Tensor, Tensor, Tensor], order: int) -> Tensor:
     """The turned light at s is the light at R^T s: evaluate it there, project it back.
 

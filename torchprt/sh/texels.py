@@ -16,6 +16,7 @@ from torchprt.errors import InputError
 from torchprt.sh.basis import basis
 from torchprt.sh.constant import constant
 from torchprt.sh.matrices import rotation_matrix
+from torchprt.sh.precision import widened, without_autocast
 
 Weights = Literal["normalised", "paper", "exact"]
 
@@ -91,17 +92,20 @@ def latlong_basis(order: int, height: int, width: int, dtype: torch.dtype = torc
     return _weighted(directions, latlong_weights(height, width).reshape(-1), order, dtype)
 
 
+@without_autocast
 def project_cube(
     cube: Float[Tensor, "*B 6 H W C"], order: int, weights: Weights = "normalised"
 ) -> Float[Tensor, "*B N C"]:
     """SH coefficients of cube maps: one matrix product with a table that is kept between calls.
 
     Faces so large that the table would exceed 2^24 numbers are projected a few rows at a time, without keeping it.
-    Differentiable in `cube`. See `cube_weights` for the three kinds of `weights`.
+    Differentiable in `cube`. See `cube_weights` for the three kinds of `weights`. What is narrower than float32 is
+    projected in float32, also under autocast.
     Raises InputError if the faces are not square.
     Source: Sloan, Kautz and Snyder 2002, section 6.2.
     """
     *batch, _, size, width, channels = cube.shape
+    dtype, cube = cube.dtype, widened(cube)
     if size != width:
         raise InputError(f"cube has faces of {size} x {width} texels: they must be square")
     planes = cube.movedim(-1, -4)
@@ -118,21 +122,23 @@ def project_cube(
             table = _weighted(directions[some].reshape(-1, 3), area[some].reshape(-1), order, cube.dtype)
             piece = planes[..., start : start + rows, :].reshape(flat.shape[0], -1)
             flat = flat + linear(piece, table.to(cube.device))
-    return flat.reshape(*batch, channels, order * order).mT
+    return flat.reshape(*batch, channels, order * order).mT.to(dtype)
 
 
+@without_autocast
 def project_latlong(image: Float[Tensor, "*B H W C"], order: int) -> Float[Tensor, "*B N C"]:
     """SH coefficients of latitude-longitude images, with exact solid angles.
 
     Separable: a Fourier sum along every row, then a Legendre sum over the rows, about the vertical axis,
     which a constant rotation makes +y. The tables grow with H + W, so a 4096 x 2048 image costs hardly more
     than reading it. The same result as `latlong_basis(...) @ image` up to rounding. Differentiable in
-    `image`.
+    `image`. What is narrower than float32 is projected in float32, also under autocast.
     """
+    dtype, image = image.dtype, widened(image)
     height, width = image.shape[-3:-1]
     around, down, index, upright = _latlong_tables(order, height, width, image.dtype, image.device)
     fourier = linear(image.movedim(-1, -3), around)
-    return upright @ (fourier[..., index] * down).sum(-2).mT
+    return (upright @ (fourier[..., index] * down).sum(-2).mT).to(dtype)
 
 
 def _face_coordinates(size: int) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.basis import basis, order_of
+from torchprt.sh.precision import without_autocast
 from torchprt.sh.quadrature import fibonacci
 from torchprt.sh.zonal import convolve
 
@@ -55,6 +56,7 @@ def window(light: Float[Tensor, "*#B N C"], factors: Float[Tensor, "*#B n"]) -> 
     return convolve(light, factors)
 
 
+@without_autocast
 def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"], Float[Tensor, "*B n"]]:
     """The light under the weakest Gaussian window that leaves it nowhere negative, and its factors.
 

@@ -67,6 +67,8 @@ class ClusteredSignal(SignalModule):
 
     def blend(self, table: Float[Tensor, "R D"]) -> Float[Tensor, "G D"]:
         """What receivers have of the rows of `table`, one for each representative."""
+        # Under autocast the table is narrower than the weights.
+        table = table.to(self.weights.dtype)
         return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=self.weights)
 
     def sent(self, product: Callable[[Tensor], Tensor]) -> Float[Tensor, "R D"]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import linear
 
 from torchprt.errors import InputError
 from torchprt.sh import cube_basis
+from torchprt.sh.precision import KeepsSingle, without_autocast
 from torchprt.shade.display import ToneMap, display
 from torchprt.shade.shader import Shader
 
 
-class EnvironmentShader(nn.Module):
+class EnvironmentShader(KeepsSingle):
     """Shades straight from cube maps: `environment [..., 6, H, W, 3]` -> light -> rotation -> exit radiance.
 
     `size`: H = W of the cube maps. With `tone` the result is an sRGB picture value (exposure in stops, tone map,
@@ -20,6 +21,7 @@ class EnvironmentShader(nn.Module):
     Source: Sloan, Kautz and Snyder 2002, figure 2 and section 6.2.
     """
 
+    single = ("weights",)
     weights: Tensor
 
     def __init__(self, shader: Shader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None):
@@ -54,6 +56,11 @@ class EnvironmentShader(nn.Module):
             )
         # `sh.project_cube` with the table in a buffer, so that the graph can be compiled and exported.
         texels = environment.movedim(-1, -4).reshape(*environment.shape[:-4], 3, 6 * self.size**2)
-        light = linear(texels, self.weights).mT
+        light = _projected(texels, self.weights)
         radiance = self.shader(light, rotation, eye=eye, view=view, frames=frames, positions=positions)
         return radiance if self.tone is None else display(radiance, exposure=self.exposure, tone=self.tone)
+
+
+@without_autocast
+def _projected(texels: Float[Tensor, "*B 3 texels"], table: Float[Tensor, "N texels"]) -> Float[Tensor, "*B N 3"]:
+    return linear(texels.to(table.dtype), table).mT.to(texels.dtype)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchprt.brdf import sample_hemisphere_map
 from torchprt.sh import exit_functions
+from torchprt.sh.precision import at_least_single
 from torchprt.shade.dense import DenseSignal
 from torchprt.shade.layer import LayerModule, M, layer_module
 from torchprt.shade.signal import Making, hold
@@ -23,7 +24,8 @@ class EyeLayerModule(LayerModule):
     """What the layers that depend on the eye share. Subclasses say what the functions e_i are (`exit_values`).
 
     Buffers: `specular`, those of the subclass and of the signal, and where the receivers are: `points [3, G]`, in the
-    dtype of the positions if that is wider, and `frames [3, 3, G]`, rows tangent, bitangent, normal, at rest.
+    dtype of the positions if that is wider, and `frames [3, 3, G]`, rows tangent, bitangent, normal, at rest; both are
+    float32 at least, and so are directions and tables.
 
     Laws: an eye below the tangent plane of a receiver counts as on it, an eye at a receiver as above it
     (`local_views`); a receiver whose normal is zero has no such layer. Directions are computed from eye - position in
@@ -33,12 +35,13 @@ class EyeLayerModule(LayerModule):
 
     learnable: ClassVar[tuple[str, ...]] = ("specular",)
     per_receiver: ClassVar[tuple[str, ...]] = ("points", "frames")
+    single: ClassVar[tuple[str, ...]] = ("points", "frames")
     specular: Tensor
     points: Tensor
     frames: Tensor
 
     def __init__(self, layer: EyeLayer, making: Making):
-        receivers, dtype = making.receivers, making.dtype
+        receivers, dtype = making.receivers, at_least_single(making.dtype)
         index = layer.index(receivers.count)
         frames, has_frame = local_frames(receivers.normals[index], layer.tangents)
         lost = None if bool(has_frame.all()) else (~has_frame).nonzero()[:, 0]
@@ -66,14 +69,14 @@ class EyeLayerModule(LayerModule):
             toward = toward.reshape(3, *(1,) * (batch - toward.ndim + 1), *toward.shape[1:])
             # The transpose turns back into the rest pose.
             toward = (turn * toward.unsqueeze(1)).sum(0)
-        return self.exit_values(local_views(toward, self.frames))
+        return self.exit_values(local_views(toward, self.frames)).to(self.specular.dtype)
 
     def posed(self: M, frames: Tensor | None, positions: Tensor | None) -> M:
         assert isinstance(self, EyeLayerModule)
         receivers, _, rows, _ = self.signal.shape
-        single = torch.eye(rows, dtype=self.frames.dtype, device=self.frames.device)
+        single = torch.eye(rows, dtype=self.specular.dtype, device=self.frames.device)
         vectors = [self.toward(row.expand(receivers, rows), frames) for row in single.unbind(0)]
-        matrix = torch.stack(vectors).permute(1, 3, 0, 2).contiguous()
+        matrix = torch.stack(vectors).permute(1, 3, 0, 2).to(self.specular.dtype).contiguous()
         turned = self.frames
         if frames is not None:
             lanes = frames.permute(1, 2, 0)
@@ -112,6 +115,7 @@ class FactoredLayer(EyeLayerModule):
 
     learnable = ("factors", "specular")
     choices = ("views",)
+    single = (*EyeLayerModule.single, "factors")
     factors: Tensor
 
     def __init__(self, layer: Factored, making: Making):

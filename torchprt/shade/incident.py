@@ -40,6 +40,7 @@ class IncidentLayer(EyeLayerModule):
     learnable = ("exponent", "specular")
     choices = ("exponent", "brdf", "output_order", "projection")
     per_receiver = ("points", "frames", "exponent")
+    single = (*EyeLayerModule.single, "exponent", "chain")
     exponent: Tensor
     chain: Tensor
     band: Tensor
@@ -71,7 +72,7 @@ class IncidentLayer(EyeLayerModule):
         if "exponent" in making.learn:
             raise InputError("learn names 'exponent', but brdf is given: there is no lobe to learn")
         chain = exit_chain(brdf, self.output_order, self.incident_order, self.projection)
-        self.register_buffer("chain", chain.to(device, making.dtype))
+        self.register_buffer("chain", chain.to(device, self.frames.dtype))
 
     def exit_values(self, local: Float[Tensor, "*B G 3"]) -> Float[Tensor, "*B G M"]:
         """What the SH coefficients of transferred incident radiance are weighted with, for these views."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.sh.precision import KeepsSingle
 from torchprt.shade.dense import DenseSignal
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Diffuse, Layer
@@ -19,7 +20,7 @@ from torchprt.transfer import Diffuse, Layer
 M = TypeVar("M", bound="LayerModule")
 
 
-class LayerModule(nn.Module, abc.ABC):
+class LayerModule(KeepsSingle, abc.ABC):
     """A layer of G receivers: `weight * sum_i values_i sum_j M_ij light_j`.
 
     A subclass is made from its stored layer as `(layer, making)`, and says in `values` which
@@ -78,13 +79,15 @@ class LayerModule(nn.Module, abc.ABC):
     def forward(
         self, light: Tensor, values: Tensor | None = None, frames: Tensor | None = None, out: Tensor | None = None
     ) -> Float[Tensor, "... 3 G"]:
-        """Radiance `[*B, 3, G]` under lights of the world, toward the eyes of `values`, in poses."""
+        """Radiance `[*B, 3, G]` under lights of the world, toward the eyes of `values`, in poses; in the dtype of the
+        weight, as everything that it is made of."""
         weight = self.weight
         if len(weight) == 1:
             # One weight for all receivers: applied to N numbers instead of G.
-            return self.sent(light * weight, values, frames, out)
+            return self.sent(light * weight, values, frames, out).to(weight.dtype)
         radiance = self.sent(light, values, frames, out)
-        return radiance * weight.T if out is None else radiance.mul_(weight.T)
+        # Autocast may have made it narrower.
+        return (radiance * weight.T).to(weight.dtype) if out is None else radiance.mul_(weight.T)
 
     def spread(self, values: Float[Tensor, "*#B G"], below: Float[Tensor, "*#B V"] | None, count: int) -> Tensor:
         """Values of its receivers put among all `count`, over those of the layers `below`."""
@@ -103,7 +106,7 @@ class LayerModule(nn.Module, abc.ABC):
 
     def posed(self: M, frames: Tensor | None, positions: Tensor | None) -> M:
         """The layer in one pose, its transfer stored; `frames` of its own receivers, `positions` of all."""
-        return self.changed(signal=DenseSignal.holding(self.toward(None, frames).contiguous()))
+        return self.changed(signal=DenseSignal.holding(self.toward(None, frames).to(self.weight.dtype).contiguous()))
 
     def taken(self: M, index: Tensor, signal: SignalModule) -> M:
         """About those of its receivers that `index` names, one perhaps more than once, whose transfer is `signal`."""

@@ -13,6 +13,8 @@ from torchprt.errors import InputError
 from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
+from torchprt.sh.precision import at_least_single
+from torchprt.sh.rotate import whole_rotation
 from torchprt.shade.fixed_light import FixedLightShader
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
 from torchprt.shade.signal import Making, signal_module
@@ -49,6 +51,11 @@ class Shader(nn.Module):
     def extra_repr(self) -> str:
         return f"order={self.order}, vertices={self.vertices}, needs={sorted(self.needs)}"
 
+    @property
+    def dtype(self) -> torch.dtype:
+        """The dtype of what is stored and multiplied; places, directions and tables are float32 at least."""
+        return next(layer.weight.dtype for layer in self.layers.values())
+
     def forward(
         self,
         light: Float[Tensor, "*#B N 3"],
@@ -69,6 +76,10 @@ class Shader(nn.Module):
         are estimated (`pose.DeformedFrames`); frames count if both are given, the rest pose if neither is. A point is
         seen from `positions`, so an eye with frames needs both.
 
+        `light` may be narrower or wider than the shader, as long as both are float64 or neither is: the products are
+        made in the dtype of the shader, and the result has that of `light`. Rotations, eyes, views and poses are used
+        in float32 at least. Autocast changes the products alone.
+
         All batches broadcast. Fastest where the dimensions of many lights have size 1 in those of eye and pose: they
         are then applied once, and a further light costs what a diffuse one does; any other eye or pose takes C N V
         numbers of memory. The result is a view with vertices contiguous, not a permuted copy. `out`: a former result
@@ -79,7 +90,9 @@ class Shader(nn.Module):
         proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
         """
         self._check(eye, view, frames, positions)
-        light = turned_light(light, rotation, self.turn)
+        wanted, light = light.dtype, turned_light(light, rotation, self.turn).to(self.dtype)
+        if out is not None and wanted != self.dtype:
+            raise InputError(f"out cannot be used with a light in {wanted}: the shader is {self.dtype}, convert one")
         turned = None if frames is None and positions is None else self.pose(frames, positions)
         if out is not None and len(self.layers) != 1:
             raise InputError(f"out cannot be used with {len(self.layers)} layers: leave it out")
@@ -89,7 +102,7 @@ class Shader(nn.Module):
             values = layer.values(eye, view, posed, positions)
             radiance = layer.spread(layer(light, values, posed, out), radiance, self.vertices)
         assert radiance is not None
-        return radiance.mT
+        return radiance.mT.to(wanted)
 
     def vectors(
         self,
@@ -111,7 +124,7 @@ class Shader(nn.Module):
             values = layer.values(eye, view, posed, positions)
             if values is not None and values.ndim != 2:
                 raise InputError("eye or view has a batch: fix one at a time, of shape [3]")
-            vectors = layer.toward(values, posed) * layer.weight.T.unsqueeze(1)
+            vectors = (layer.toward(values, posed) * layer.weight.T.unsqueeze(1)).to(self.dtype)
             total = layer.spread(vectors, total, self.vertices)
         assert total is not None
         return total
@@ -136,14 +149,14 @@ class Shader(nn.Module):
         """
         if "eye" not in self.needs:
             raise InputError("fix_light is for shaders that need an eye: this one gives its radiance when it is called")
-        light = turned_light(light, rotation, self.turn)
+        light = turned_light(light, rotation, self.turn).to(self.dtype)
         radiance: Tensor | None = None
         seen: dict[str, LayerModule] = {}
         coefficients: dict[str, Tensor] = {}
         for name, layer in self.layers.items():
             if "eye" in layer.needs:
                 seen[name] = layer
-                coefficients[name] = layer.under(light) * layer.weight.T.unsqueeze(-2)
+                coefficients[name] = (layer.under(light) * layer.weight.T.unsqueeze(-2)).to(self.dtype)
             else:
                 radiance = layer.spread(layer(light), radiance, self.vertices)
         return FixedLightShader(seen, coefficients, radiance, self.vertices, self.order)
@@ -168,7 +181,7 @@ class Shader(nn.Module):
         return Shader(layers, self.turn, self.vertices)
 
     def pose(self, frames: Tensor | None, positions: Tensor | None) -> Float[Tensor, "*P V 3 3"] | None:
-        """The frames of a pose, checked, in the dtype of the shader; None for the rest pose."""
+        """The frames of a pose, checked, in float32 at least; None for the rest pose."""
         dtype = self.turn.project.dtype
         if frames is not None:
             if frames.shape[-3:] != (self.vertices, 3, 3):
@@ -178,7 +191,7 @@ class Shader(nn.Module):
                 )
             if values_are_at_hand():
                 check_rotation(frames, "frames")
-            return frames.to(dtype)
+            return whole_rotation(frames).to(dtype)
         if positions is None:
             return None
         if values_are_at_hand() and not bool(positions.isfinite().all()):
@@ -206,7 +219,8 @@ def shader(
 ) -> Shader:
     """The `nn.Module` that shades `transfer`.
 
-    `dtype`: of its buffers (float32, or wider if the transfer is); `learn`: names of buffers that become parameters, as
+    `dtype`: of what it stores and multiplies (float32, or wider if the transfer is); places, directions and tables are
+    float32 at least, also after `.half()`; `learn`: names of buffers that become parameters, as
     "albedo", "specular" or "values", of every layer that has them, or "exit.values" for that of one. With bounces
     albedo and specular were also baked into what other surfaces receive, so learning them is refused.
 
@@ -237,7 +251,9 @@ def shader(
     device = transfer.positions.device
     estimate = None
     if "pose" in transfer.needs:
-        estimate = DeformedFrames(transfer.positions, transfer.faces, normals=transfer.normals).to(dtype)
+        estimate = DeformedFrames(transfer.positions, transfer.faces, normals=transfer.normals).to(
+            at_least_single(dtype)
+        )
     return Shader(layers, Rotation(transfer.order, dtype).to(device), transfer.vertices, estimate)
 
 
@@ -263,12 +279,16 @@ def _learned(transfer: Transfer, learnable: Mapping[str, list[str]], learn: tupl
 
 
 def turned_light(light: Tensor, rotation: Tensor | None, turn: Rotation) -> Tensor:
-    """`light [*B, N, 3]` as a shader uses it: turned if asked to, InputError if it is not of the order of `turn`."""
+    """`light [*B, N, 3]` as a shader uses it: turned if asked to, InputError if it is not of the order of `turn`, or
+    if one is float64 and the other is not."""
     if light.shape[-2] != turn.order**2:
         raise InputError(
             f"light has {light.shape[-2]} coefficients but the transfer is of order {turn.order}: "
             f"project the light with order={turn.order}"
         )
+    wide = turn.project.dtype
+    if not light.is_floating_point() or torch.promote_types(light.dtype, torch.float32) != wide:
+        raise InputError(f"light is {light.dtype} but the shader works in {wide}: convert the light with .to({wide})")
     if rotation is None:
         return light
     # A graph takes its constants from the module; elsewhere the rotation is checked and the fast way taken.

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.sh.precision import KeepsSingle, at_least_single
 from torchprt.shade.batches import light_product
 from torchprt.transfer import Receivers, Signal
 
@@ -28,7 +29,7 @@ class Making:
     choices: Mapping[str, Any] = field(default_factory=dict)
 
 
-class SignalModule(nn.Module, abc.ABC):
+class SignalModule(KeepsSingle, abc.ABC):
     """The transfer matrices `[C, M, N]` of G receivers in buffers; M = 1 for transfer vectors.
 
     A subclass is made from its stored signal as `(signal, making, lost)`: receivers in `lost` have nothing. It must say
@@ -75,9 +76,11 @@ def signal_module(signal: Signal, making: Making, lost: Tensor | None = None) ->
     raise InputError(f"a signal of kind '{signal.kind}' has no shader: register one with shade.signal_module.register")
 
 
-def hold(module: nn.Module, name: str, value: Tensor, making: Making) -> None:
-    """Makes a buffer of `value` in the dtype of the shader, or a parameter, which is a copy, if it is to be learned."""
-    value = value.detach().to(making.dtype)
+def hold(module: KeepsSingle, name: str, value: Tensor, making: Making) -> None:
+    """Makes a buffer of `value` in the dtype of the shader, or a parameter, which is a copy, if it is to be learned.
+
+    What the module names as `single` is float32 at least."""
+    value = value.detach().to(at_least_single(making.dtype) if name in module.single else making.dtype)
     if name in making.learn:
         module.register_parameter(name, nn.Parameter(value.clone()))
     else:

@@ -6,10 +6,11 @@ from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchprt.errors import InputError
+from torchprt.sh.precision import widened
 from torchprt.shade.batches import light_product
 from torchprt.shade.lobes import lobe_vectors, table_radiance, turned_axes, turned_exact
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
@@ -24,7 +25,7 @@ class ZonalSignal(SignalModule):
     M L lobes.
 
     Buffers `axis [M, L, 3, G]`, `coefficients [C, M, L, Z, G]`, `exact [C, M, J, G]`, each a parameter instead if it is
-    named in `learn`; learned axes count as unit vectors.
+    named in `learn`; axes count as unit vectors whatever their length, and are float32 at least.
 
     `method`: "direct" makes the transfer vectors of a pose and applies the light to them: exact. "table" reads each
     lobe from a table of the light, as the paper's vertex shader: off by up to 3 % of a band (`lobes.table_radiance`),
@@ -38,6 +39,7 @@ class ZonalSignal(SignalModule):
     learnable = ("axis", "coefficients", "exact")
     choices = ("method",)
     follows_pose = True
+    single = ("axis",)
     axis: Tensor
     coefficients: Tensor
     exact: Tensor
@@ -61,12 +63,11 @@ class ZonalSignal(SignalModule):
         self, values: Float[Tensor, "*#B G M"] | None, frames: Float[Tensor, "*#B G 3 3"] | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Axes, coefficients, and bands 0 and 1 where they are exact, in a pose, as `lobe_vectors` takes them."""
-        axis = normalize(self.axis, dim=2) if isinstance(self.axis, nn.Parameter) else self.axis
         poses = 0 if frames is None else frames.ndim - 3
         batch = max(poses, 0 if values is None else values.ndim - 2)
         if frames is not None:
             frames = frames.reshape(*(1,) * (batch - poses), *frames.shape)
-        weights, low = _beside(self.coefficients, batch), _beside(self.exact, batch)
+        weights, low = (_beside(widened(part), batch) for part in (self.coefficients, self.exact))
         if values is None:
             weights, low = weights[:, 0], low[:, 0]
         else:
@@ -76,11 +77,11 @@ class ZonalSignal(SignalModule):
             low = (low * lanes[:, None]).sum(1)
         if low.shape[1]:
             low = turned_exact(low, frames)
-        axes = turned_axes(axis.flatten(0, 1), frames)
+        axes = turned_axes(self.axis.flatten(0, 1), frames)
         return _beside(axes, batch) if frames is None else axes, weights, low
 
     def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
-        return lobe_vectors(*self.lobes(values, frames))
+        return lobe_vectors(*self.lobes(values, frames)).to(self.coefficients.dtype)
 
     def radiance(
         self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None
@@ -88,7 +89,7 @@ class ZonalSignal(SignalModule):
         lobes = self.lobes(values, frames)
         if self.method == "table":
             return table_radiance(light, *lobes)
-        return light_product(light, lobe_vectors(*lobes), out=out)
+        return light_product(light, lobe_vectors(*lobes).to(light.dtype), out=out)
 
 
 def _beside(values: Tensor, poses: int) -> Tensor:
