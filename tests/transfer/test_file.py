@@ -261,6 +261,15 @@ def test_a_failure_while_writing_leaves_the_old_file_alone(make_transfer, writte
     assert [path.name for path in written.parent.iterdir()] == [written.name]
 
 
+def test_what_was_read_stays_when_the_file_is_overwritten_in_its_place(written):
+    """As `cp` does; a map of the file would change, or end the process where the file is shorter."""
+    transfer = load(written)
+    before = stored(transfer).clone()
+    with written.open("r+b") as file:
+        file.write(bytes(written.stat().st_size))
+    assert torch.equal(stored(transfer), before)
+
+
 def test_refuses_a_folder_that_is_missing(make_transfer, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         save(make_transfer(), tmp_path / "nowhere" / "a.safetensors")

@@ -78,8 +78,9 @@ def load(path: str | os.PathLike[str]) -> Transfer:
             def tensor(name: str) -> Tensor:
                 if name not in names:
                     raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
+                # A copy: what is a map of the file ends the process when another program cuts the file short.
                 value: Tensor = file.get_tensor(name)
-                return value
+                return value.clone()
 
             return _read(path, file.metadata() or {}, tensor)
     except (SafetensorError, OSError) as fault:
