@@ -1,7 +1,6 @@
 """Disks at fault: one that has no room any more, one that may not be written, a pipe where a file should be."""
 
 import contextlib
-import resource
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +8,8 @@ from pathlib import Path
 @contextlib.contextmanager
 def room_for(size: int) -> Iterator[None]:
     """No file of this process may grow beyond `size` bytes: what a full disk is to a program, with EFBIG for ENOSPC."""
+    import resource  # which Windows has not
+
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

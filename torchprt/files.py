@@ -72,7 +72,7 @@ def atomic(path: str | os.PathLike[str], *, durable: bool = True) -> Iterator[Pa
             temporary.chmod(stat.S_IMODE(mode))
             if durable:
                 _to_disk(temporary)
-            temporary.replace(target)
+            os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -107,7 +107,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         scratch = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:32]}."))
         made, former = scratch / "new", scratch / "former"
         try:
-            made.mkdir()
+            os.mkdir(made)
             yield made
             _exchange(target, made, former)
         except CannotWrite as fault:
@@ -121,13 +121,13 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 def _exchange(target: Path, made: Path, former: Path) -> None:
     """Puts a folder in the place of another, or leaves that where it is."""
     if not target.exists():
-        made.rename(target)
+        os.rename(made, target)
         return
-    target.rename(former)
+    os.rename(target, former)
     try:
-        made.rename(target)
+        os.rename(made, target)
     except BaseException:
-        former.rename(target)
+        os.rename(former, target)
         raise
 
 
@@ -135,7 +135,7 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     """`path`, made with its parents if it is not there. Raises InputError if it cannot be made."""
     folder = Path(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        os.makedirs(folder, exist_ok=True)
     except OSError as fault:
         raise InputError(f"{folder} cannot be made ({fault.strerror}): {_advice(fault.errno)}") from fault
     return folder

@@ -60,7 +60,7 @@ def check_readable(path: str | os.PathLike[str], advice: str = "check the name")
             raise InputError(f"{file} cannot be read, it is a folder: give a file")
         if not stat.S_ISREG(mode):
             raise InputError(f"{file} cannot be read, it is a pipe or a device: copy what it holds into a file")
-        with file.open("rb"):
+        with open(file, "rb"):
             return file
     except (FileNotFoundError, NotADirectoryError) as fault:
         raise InputError(f"{file} does not exist: {advice}") from fault

@@ -3,7 +3,9 @@
 import errno
 import os
 import stat
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,11 @@ import torch
 from faults import room_for
 from safetensors.torch import save_file
 
+import torchprt
 from torchprt.errors import InputError
 from torchprt.files import CannotWrite, atomic, check_writable, fault_of_disk
+
+ROOT = Path(torchprt.__file__).parents[1]
 
 
 def half_write(path, fault):
@@ -90,6 +95,25 @@ def test_names_without_a_folder_are_of_the_folder_one_is_in(tmp_path, monkeypatc
     with atomic("a.npy") as temporary:
         temporary.write_text("new")
     assert (tmp_path / "a.npy").read_text() == "new"
+
+
+KILLED = """
+import os, signal, sys
+from torchprt.files import atomic
+
+with atomic(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_a_process_that_is_killed_in_the_middle_leaves_the_former_file(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_text("former")
+    ended = subprocess.run([sys.executable, "-c", KILLED, path], capture_output=True, timeout=120, cwd=ROOT)
+    assert ended.returncode == -9, ended
+    assert path.read_text() == "former"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
