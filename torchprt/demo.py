@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from torchprt import light, preview, sh
-from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import atomic, make_folder
 from torchprt.scene import Material, samples
 from torchprt.shade import display, shader
 from torchprt.transfer import Transfer, save
@@ -33,10 +32,7 @@ def run(folder: Path, say: Say = print) -> None:
 
     Raises InputError if the folder cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise InputError(f"{folder} cannot be made ({fault.strerror}): give another folder with -o") from fault
+    make_folder(folder)
     environment = light.studio(256)
     write_environment(environment, folder / "studio.exr")
     lamps = light.project(environment, 5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -47,6 +48,26 @@ def refuse_other(path: str | os.PathLike[str], wanted: str) -> None:
         raise InputError(f"{path} is {kind}, not {wanted}: {use}")
 
 
+def check_readable(path: str | os.PathLike[str], advice: str = "check the name") -> Path:
+    """`path`, if it is a file that can be read: asked before a library is, which may wait for a pipe for ever.
+
+    Raises InputError if it is not; `advice` is what to do if nothing is there.
+    """
+    file = Path(path)
+    try:
+        mode = file.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise InputError(f"{file} cannot be read, it is a folder: give a file")
+        if not stat.S_ISREG(mode):
+            raise InputError(f"{file} cannot be read, it is a pipe or a device: copy what it holds into a file")
+        with open(file, "rb"):
+            return file
+    except (FileNotFoundError, NotADirectoryError) as fault:
+        raise InputError(f"{file} does not exist: {advice}") from fault
+    except OSError as fault:
+        raise InputError(f"{file} cannot be read ({fault.strerror}): check the name and its permissions") from fault
+
+
 def nearest(suffix: str, known: Sequence[str]) -> str | None:
     """That of the `known` suffixes that `suffix` is probably meant to be; None if it resembles none."""
     return next(iter(difflib.get_close_matches(suffix.lower(), known, 1)), None)
@@ -57,11 +78,10 @@ def by_content(path: Path) -> tuple[str, str] | None:
 
     Raises InputError if the file cannot be read.
     """
+    check_readable(path)
     try:
         with path.open("rb") as stream:
             start = stream.read(16)
-    except FileNotFoundError as fault:
-        raise InputError(f"{path} does not exist: check the name") from fault
     except OSError as fault:
         raise InputError(f"{path} cannot be read ({fault.strerror}): check the name and its permissions") from fault
     if start[:4] == b"RIFF" and start[8:12] == b"WEBP":

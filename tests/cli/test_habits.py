@@ -73,26 +73,28 @@ def test_a_verb_that_is_not_there_is_near_one_that_is(misused):
     misused("Did you mean 'bake'?", arguments=["baek"])
 
 
-@pytest.mark.parametrize("how", ["-q", "--quiet", "variable"])
+@pytest.mark.parametrize("how", ["-q", "--quiet", "before", "variable"])
 def test_told_to_be_quiet_it_tells_nothing_but_faults(how, run, folder, tmp_path, monkeypatch):
     options = [how]
     if how == "variable":
         monkeypatch.setenv("TORCHPRT_QUIET", "1")
         options = []
+    # As an option of the command, in front of the verb.
+    first, options = (["-q"], []) if how == "before" else ([], options)
     before = os.environ.get("TORCHPRT_QUIET")
     # A light that rings, one bar and what was written: each is told otherwise.
     bake = ["bake", folder / "ball.ply", "-o", tmp_path / "a.safetensors", "--rays", "8", "--threads", "1"]
     shade = ["shade", tmp_path / "a.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "a.npy"]
     for command in (bake, shade):
-        ended = run(*command, *options)
+        ended = run(*first, *command, *options)
         assert (ended.code, ended.out, ended.err) == (0, "", "")
     assert (tmp_path / "a.npy").exists()
-    ended = run("shade", tmp_path / "none.safetensors", "--light", "white", "-o", tmp_path / "b.npy", *options)
+    ended = run(*first, "shade", tmp_path / "none.safetensors", "--light", "white", "-o", tmp_path / "b.npy", *options)
     assert (ended.code, ended.out) == (2, "")
     assert "none.safetensors does not exist" in ended.err
     # It is for this command only, and what is asked for is told.
     assert os.environ.get("TORCHPRT_QUIET") == before
-    assert "a.safetensors: diffuse" in run("info", tmp_path / "a.safetensors", *options).out
+    assert "a.safetensors: diffuse" in run(*first, "info", tmp_path / "a.safetensors", *options).out
 
 
 def test_not_told_to_be_quiet_it_tells(run, folder, tmp_path, monkeypatch):

@@ -225,7 +225,7 @@ def lights(folder, tmp_path, path):
         ("foreign.exr", b"hello" * 40, "no image"),
         ("foreign.hdr", bytes(range(256)), "no image"),
         ("head.exr", b"\x76\x2f\x31\x01\x02\0\0\0", "damaged or truncated"),
-        ("none.png", None, "cannot be read"),
+        ("none.png", None, "does not exist"),
     ],
 )
 def test_an_image_that_cannot_be_used(name, content, word, refused, folder, tmp_path):
@@ -233,7 +233,6 @@ def test_an_image_that_cannot_be_used(name, content, word, refused, folder, tmp_
         (tmp_path / name).write_bytes(content)
     for arguments in lights(folder, tmp_path, tmp_path / name):
         refused(name, word, arguments=arguments)
-    word = "does not exist" if content is None else word
     refused(name, word, arguments=["info", tmp_path / name])
 
 
@@ -310,7 +309,7 @@ LIGHTS = {
     "archive": (lambda path: path.write_bytes(b"PK\3\4" * 20), "not a whole .npy"),
     "pickled": (pickled, "not a whole .npy"),
     "truncated": (cut, "not a whole .npy"),
-    "folder": (lambda path: path.mkdir(), "not a whole .npy"),
+    "folder": (lambda path: path.mkdir(), "is a folder"),
     "another_order": (saved(np.zeros((9, 3), np.float32)), "order 3 but the transfer is of order 4"),
     "no_square": (saved(np.zeros((15, 3))), "15 coefficients"),
     "no_rows": (saved(np.zeros((0, 3))), "0 coefficients"),

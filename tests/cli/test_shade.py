@@ -47,6 +47,23 @@ def test_radiance_comes_in_the_order_of_the_file_with_duplicates_and_strays(done
     assert torch.equal(load(tmp_path / "a.safetensors").positions.double(), mesh.positions)
 
 
+def test_vertices_without_a_normal_that_a_bake_filled_are_not_said_to_be_dark(done, tmp_path):
+    """Vertex 5 is where vertex 1 is, on a face without area; vertex 6 is on none."""
+    corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1), (1, 1, 1), (9, 9, 9)]
+    faces = [(1, 2, 3), (1, 4, 2), (1, 3, 4), (2, 4, 3), (5, 1, 2)]
+    text = "".join("v {} {} {}\n".format(*row) for row in corners) + "".join(
+        "f {} {} {}\n".format(*row) for row in faces
+    )
+    (tmp_path / "a.obj").write_text(text)
+    for option, dark in (([], "1 of 6 vertices without a normal read 0"), (["--raw"], "2 of 6 vertices without a")):
+        done("bake", tmp_path / "a.obj", "-o", tmp_path / "a.safetensors", "--rays", 64, *option)
+        said = done("shade", tmp_path / "a.safetensors", "--light", "white", "-o", tmp_path / "r.npy")
+        assert dark in said
+        radiance = np.load(tmp_path / "r.npy")
+        assert (radiance[4] > 0.3).all() == (not option)
+        assert (radiance[5] == 0).all()
+
+
 # Which way is which
 
 

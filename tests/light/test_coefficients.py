@@ -27,7 +27,7 @@ def refused(path, *words, order=None):
 
 def test_refuses_a_file_that_is_missing_or_a_folder(path, tmp_path):
     refused(path, "does not exist")
-    refused(tmp_path, "not a whole .npy")
+    refused(tmp_path, "it is a folder")
 
 
 def test_a_file_that_is_cut_anywhere_is_refused(path):

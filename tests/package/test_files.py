@@ -5,11 +5,19 @@ import os
 import stat
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from faults import room_for
+from safetensors.torch import save_file
 
+import torchprt
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable, no_room
+from torchprt.files import CannotWrite, atomic, check_writable, fault_of_disk
+
+ROOT = Path(torchprt.__file__).parents[1]
 
 
 def half_write(path, fault):
@@ -46,10 +54,14 @@ def test_the_file_has_the_permissions_of_any_new_file(tmp_path):
     try:
         with atomic(tmp_path / "a.bin"):
             pass
+        # It puts a private file of its own in the place of the one that is there.
+        with atomic(tmp_path / "b.bin") as temporary:
+            save_file({"a": torch.zeros(3)}, temporary)
         assert os.umask(0o027) == 0o027
     finally:
         os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a.bin").stat().st_mode) == 0o640
+    for name in ("a.bin", "b.bin"):
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o640
 
 
 def test_refuses_a_folder_and_a_place_in_a_folder_that_is_missing(tmp_path):
@@ -73,7 +85,7 @@ def test_asking_whether_a_file_can_be_written_writes_none(tmp_path):
     with pytest.raises(InputError, match="is a folder"):
         check_writable(tmp_path / "b.npy", (".npy",))
     (tmp_path / "c").write_text("a file, not a folder")
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="c is a file, not a folder"):
         check_writable(tmp_path / "c" / "a.npy", (".npy",))
 
 
@@ -85,53 +97,61 @@ def test_names_without_a_folder_are_of_the_folder_one_is_in(tmp_path, monkeypatc
     assert (tmp_path / "a.npy").read_text() == "new"
 
 
-FULL = """
-import resource, sys
-from pathlib import Path
-
-import numpy, torch
-from safetensors.torch import save_file
-from torchprt.errors import InputError
+KILLED = """
+import os, signal, sys
 from torchprt.files import atomic
 
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-path = Path(sys.argv[1])
-writers = {
-    "numpy": lambda to: numpy.zeros(4096).tofile(to),
-    "python": lambda to: to.write_bytes(bytes(8192)),
-    "safetensors": lambda to: save_file({"a": torch.zeros(4096)}, to),
-}
-try:
-    with atomic(path) as temporary:
-        writers[sys.argv[2]](temporary)
-except InputError as fault:
-    print(fault)
+with atomic(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_a_process_that_is_killed_in_the_middle_leaves_the_former_file(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_text("former")
+    ended = subprocess.run([sys.executable, "-c", KILLED, path], capture_output=True, timeout=120, cwd=ROOT)
+    assert ended.returncode == -9, ended
+    assert path.read_text() == "former"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
-@pytest.mark.parametrize("writer", ["numpy", "python", "safetensors"])
-def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, tmp_path):
+@pytest.mark.parametrize(
+    ("writer", "number"),
+    [
+        (lambda to: to.write_bytes(bytes(8192)), errno.EFBIG),
+        (lambda to: save_file({"a": torch.zeros(4096)}, to), errno.EFBIG),
+        # numpy does not know why it wrote less than it should.
+        (lambda to: np.zeros(4096).tofile(to), errno.ENOSPC),
+    ],
+    ids=["python", "safetensors", "numpy"],
+)
+def test_a_disk_without_room_is_a_sentence_and_leaves_the_former_file(writer, number, tmp_path):
     path = tmp_path / "a.npy"
     path.write_text("former")
-    command = [sys.executable, "-c", FULL, path, writer]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    # numpy does not know why it wrote less than it should.
-    reason = os.strerror(errno.ENOSPC if writer == "numpy" else errno.EFBIG)
-    assert ended.stdout == f"{path} cannot be written ({reason}): free some space, then do the same again\n"
+    with room_for(4096), pytest.raises(CannotWrite) as caught, atomic(path) as temporary:
+        writer(temporary)
+    reason = os.strerror(number)
+    assert str(caught.value) == f"{path} cannot be written ({reason}): free some space, then do the same again"
     assert path.read_text() == "former"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "number"),
     [
-        (OSError(errno.ENOSPC, "No space left on device"), True),
-        (RuntimeError("I/O error: No space left on device (os error 28)"), True),
-        (OSError(errno.EACCES, "Permission denied"), False),
-        (RuntimeError("Permission denied (os error 13)"), False),
-        (ValueError("28"), False),
+        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
+        (RuntimeError("I/O error: No space left on device (os error 28)"), errno.ENOSPC),
+        (RuntimeError('Failed to write pixel data to image file "a.exr". No space left on device.'), errno.ENOSPC),
+        (OSError("9 requested and 3 written"), errno.ENOSPC),
+        (OSError(errno.EACCES, "Permission denied"), errno.EACCES),
+        (RuntimeError("Permission denied (os error 13)"), errno.EACCES),
+        (ValueError("28"), None),
+        (ValueError("9 requested and 3 written"), None),
+        (RuntimeError("a bug"), None),
     ],
 )
-def test_only_a_disk_without_room_is_told_as_one(fault, told):
-    assert no_room(fault) == (os.strerror(errno.ENOSPC) if told else None)
+def test_only_faults_of_the_disk_are_told_as_such(fault, number):
+    said = fault_of_disk(fault)
+    assert (said and said[0]) == (None if number is None else os.strerror(number))

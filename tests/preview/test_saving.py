@@ -6,6 +6,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
+from faults import room_for
 
 from torchprt.errors import InputError
 from torchprt.preview import save_movie, save_mp4, save_picture
@@ -133,3 +134,20 @@ def test_numbered_files(tmp_path):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a-000.png", "a-001.png"]
     torch.testing.assert_close(read(tmp_path / "a-001.png"), gradient(), rtol=0, atol=0.51 / 255)
     assert numbered("a#b##.png", 1234) == "a#b1234.png"
+
+
+def test_a_picture_of_the_window_that_finds_no_room_is_told_of_and_the_window_stays(tmp_path):
+    from types import SimpleNamespace
+
+    from torchprt.preview.window import Window
+
+    told, window = [], object.__new__(Window)
+    noise = torch.rand(20, 30, 3).numpy()
+    window.viewer = SimpleNamespace(capture_screen_float_buffer=lambda do_render: noise)
+    window.pictures, window.say = tmp_path, told.append
+    with room_for(100):
+        window._save()
+    assert "preview-1.png cannot be written" in told[0]
+    assert not list(tmp_path.iterdir())
+    window._save()
+    assert told[1] == f"saved: {tmp_path / 'preview-1.png'}"

@@ -68,9 +68,33 @@ def test_degenerate_faces_and_loose_vertices_are_kept_and_counted():
     mesh = make_mesh(positions, faces)
     assert mesh.report.degenerate_faces == 2
     assert mesh.report.unreferenced_vertices == 1
-    assert mesh.report.missing_normals == 1
+    assert (mesh.report.missing_normals, mesh.report.dark_vertices) == (1, 1)
     assert len(mesh.faces) == 14
-    assert "will receive no light" in str(mesh.report)
+    assert "1 vertex of no face and no normal: will receive no light." in str(mesh.report)
+    assert "turned or filled" not in str(mesh.report)
+
+
+def test_what_is_said_of_vertices_without_a_normal_is_what_a_bake_makes_of_them():
+    """One hangs on a corner by a face without area, one by nothing."""
+    from torchprt.scene import Object, Scene
+    from torchprt.transport import bake
+
+    positions = np.concatenate([CUBE.vertices, CUBE.vertices[:1], [[3.0, 3, 3]]])
+    mesh = make_mesh(positions, np.concatenate([CUBE.faces, [[8, 0, CUBE.faces[0, 0] or CUBE.faces[0, 1]]]]))
+    assert (mesh.report.missing_normals, mesh.report.dark_vertices) == (2, 1)
+    assert "1 vertex of faces without a usable normal: turned or filled by a bake" in str(mesh.report)
+    assert "1 vertex of no face and no normal: will receive no light." in str(mesh.report)
+    baked = [
+        bake(Scene([Object(mesh)]), order=2, rays=64, threads=1, progress=False, **how)
+        .layers["diffuse"]
+        .signal.values[0]
+        .abs()
+        .amax(0)
+        for how in ({}, {"raw": True}, {"shadows": False})
+    ]
+    assert baked[0][8] > 0.1
+    assert all(each[9] == 0 for each in baked)
+    assert baked[1][8] == baked[2][8] == 0
 
 
 def test_normals_that_point_inward_are_reported_and_kept():

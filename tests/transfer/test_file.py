@@ -33,7 +33,7 @@ def test_refuses_a_file_that_does_not_exist(tmp_path):
 
 
 def test_refuses_a_folder(tmp_path, make_transfer):
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="it is a folder"):
         load(tmp_path)
     folder = tmp_path / "folder.safetensors"
     folder.mkdir()
@@ -255,10 +255,19 @@ def test_a_failure_while_writing_leaves_the_old_file_alone(make_transfer, writte
 
     before = written.read_bytes()
     monkeypatch.setattr("torchprt.transfer.file.save_file", half)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(InputError, match="disk full"):
         save(make_transfer(seed=1), written)
     assert written.read_bytes() == before
     assert [path.name for path in written.parent.iterdir()] == [written.name]
+
+
+def test_what_was_read_stays_when_the_file_is_overwritten_in_its_place(written):
+    """As `cp` does; a map of the file would change, or end the process where the file is shorter."""
+    transfer = load(written)
+    before = stored(transfer).clone()
+    with written.open("r+b") as file:
+        file.write(bytes(written.stat().st_size))
+    assert torch.equal(stored(transfer), before)
 
 
 def test_refuses_a_folder_that_is_missing(make_transfer, tmp_path):

@@ -1,12 +1,15 @@
 """Does the JavaScript of others come from npm alone, as it was tested, once, and whole?"""
 
 import base64
+import errno
 import hashlib
 import importlib
 import io
+import os
 import shutil
 import stat
 import tarfile
+from pathlib import Path
 
 import pytest
 
@@ -81,6 +84,26 @@ def test_what_npm_complains_of_is_told_and_nothing_is_kept(cache, npm):
 def test_npm_that_brings_nothing_is_a_fault_too(cache, npm):
     npm("exit 0")
     with pytest.raises(InputError, match=r"npm could not bring three@.*exit code 0"):
+        room.libraries()
+
+
+def test_a_cache_without_room_says_which_variable_names_another(cache, npm, packages, tmp_path, monkeypatch):
+    npm(f"cp {tmp_path}/*.tgz .")
+
+    def full(path, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(InputError, match=r"cannot be written .*free some space.*set XDG_CACHE_HOME"):
+            room.libraries()
+    assert not list(cache.iterdir())
+    room.libraries()
+
+
+def test_a_cache_where_a_file_stands(cache):
+    cache.parent.write_text("mine")
+    with pytest.raises(InputError, match="cannot be made"):
         room.libraries()
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import http.client
+import socket
 import threading
 
 import pytest
@@ -89,3 +90,19 @@ def test_types_are_those_that_browsers_take(folder, path, kind):
 def test_what_is_not_in_the_folder_is_not_there(folder, path):
     with asking(folder) as ask:
         assert ask(path)[0] == 404
+
+
+def test_a_browser_that_goes_away_in_the_middle_of_a_file_is_no_fault(folder, capfd):
+    """More than the system takes in one piece, so that the server is still writing."""
+    (folder / "large.onnx").write_bytes(bytes(1 << 25))
+    with serve(folder) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        # Unread bytes make the end of this a reset.
+        with socket.create_connection(("127.0.0.1", server.server_port)) as browser:
+            browser.sendall(b"GET /large.onnx HTTP/1.1\r\nHost: here\r\n\r\n")
+            browser.recv(99)
+        server.shutdown()
+        thread.join()
+    # The end of the server has waited for what it was writing.
+    assert capfd.readouterr().err == ""

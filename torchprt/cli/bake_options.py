@@ -192,16 +192,16 @@ def baked(scene: Scene, output: Path | None, *, half: bool = False, **arguments:
     start = time.perf_counter()
     try:
         transfer = bake(scene, checkpoint=folder, keep=True, **arguments)
+        if half:
+            transfer = transfer.to(torch.float16)
+        if output is not None:
+            save(transfer, output)
     except KeyboardInterrupt:
         kept = ""
         if folder is not None and folder.exists():
             kept = f"; {folder} keeps what is done, the same command goes on from there"
         complain(f"stopped{kept}")
         raise typer.Exit(130) from None
-    if half:
-        transfer = transfer.to(torch.float16)
-    if output is not None:
-        save(transfer, output)
     if folder is not None:
         shutil.rmtree(folder, ignore_errors=True)
     name = f"{output}: " if output is not None else ""

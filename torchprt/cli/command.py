@@ -25,10 +25,11 @@ from torchprt.cli.light import light
 from torchprt.cli.patch import patch
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
-from torchprt.cli.report import answer, complain
+from torchprt.cli.report import answer, complain, unheard
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
 from torchprt.errors import InputError
+from torchprt.files import NO_ROOM
 from torchprt.progress import QUIET, quiet
 from torchprt.version import VERSION
 
@@ -56,10 +57,25 @@ app = typer.Typer(
 )
 
 
+def _hushed(asked: bool) -> bool:
+    if asked:
+        # A variable, because it also holds for workers; `main` takes it back.
+        os.environ[QUIET] = "1"
+    return asked
+
+
 def _version(asked: bool | None) -> None:
     if asked:
         answer(f"torchprt {VERSION}")
         raise typer.Exit
+
+
+Quiet = Annotated[
+    bool,
+    typer.Option(
+        "-q", "--quiet", callback=_hushed, help=f"Tell nothing but faults; as the environment variable {QUIET}=1."
+    ),
+]
 
 
 @app.callback(help="Precomputed radiance transfer: bake meshes once, light them in real time, export them.")
@@ -67,13 +83,8 @@ def _options(
     version: Annotated[
         bool | None, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = None,
+    quiet: Quiet = False,
 ) -> None: ...
-
-
-Quiet = Annotated[
-    bool,
-    typer.Option("-q", "--quiet", help=f"Tell nothing but faults; as the environment variable {QUIET}=1."),
-]
 
 
 def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
@@ -81,16 +92,7 @@ def _with_common_options(verb: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(verb)
     def run(*arguments: Any, quiet: bool, **options: Any) -> None:
-        before = os.environ.get(QUIET)
-        if quiet:
-            # A variable, because it also holds for workers.
-            os.environ[QUIET] = "1"
-        try:
-            verb(*arguments, **options)
-        finally:
-            if quiet:
-                os.environ.pop(QUIET)
-                os.environ.update({} if before is None else {QUIET: before})
+        verb(*arguments, **options)
 
     signature = completed(verb)
     common = inspect.Parameter("quiet", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Quiet)
@@ -104,11 +106,21 @@ for verb in VERBS:
 
 def main() -> None:
     """Runs the command. Faults of the input are one sentence on standard error and exit code 2."""
-    with warnings.catch_warnings():
-        # Without the file and the line of the code that warns.
-        warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
-        try:
+    before = os.environ.get(QUIET)
+    try:
+        with warnings.catch_warnings():
+            # Without the file and the line of the code that warns.
+            warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
             app()
-        except InputError as fault:
-            complain(fault)
-            sys.exit(2)
+    except InputError as fault:
+        complain(fault)
+        sys.exit(2)
+    except OSError as fault:
+        # Usage and help are printed by a library.
+        if fault.filename is not None or fault.errno not in NO_ROOM:
+            raise
+        complain(unheard(fault))
+        sys.exit(2)
+    finally:
+        os.environ.pop(QUIET, None)
+        os.environ.update({} if before is None else {QUIET: before})

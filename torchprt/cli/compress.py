@@ -95,12 +95,12 @@ def compress(
             told.end()
         if superclusters is not None:
             packed = room.reorder(packed, superclusters)
+        taken = time.perf_counter() - start
+        kinds.save(packed, output)
     except KeyboardInterrupt:
         kept = f"; {partial} keeps what is done, the same command goes on from there" if partial.exists() else ""
         complain(f"stopped{kept}")
         raise typer.Exit(130) from None
-    taken = time.perf_counter() - start
-    kinds.save(packed, output)
     partial.unlink(missing_ok=True)
     say(f"{output}: {describe(packed)}, compressed in {taken:.1f} s")
     for line in details(packed)[1:]:

@@ -13,6 +13,7 @@ import typer
 
 from torchprt.cli.report import say
 from torchprt.errors import InputError
+from torchprt.suffixes import check_readable
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -189,11 +190,10 @@ def positions(path: Path) -> Tensor:
     import numpy as np
     import torch
 
+    check_readable(path)
     try:
         values = np.load(path)
-    except OSError as fault:
-        raise InputError(f"{path} cannot be read ({fault.strerror or fault}): check the name") from None
-    except (ValueError, EOFError):
+    except Exception:  # Damaged headers end in exceptions of any kind.
         raise InputError(f"{path} is no .npy of numbers: write one with numpy.save") from None
     if not isinstance(values, np.ndarray) or values.ndim != 3 or values.shape[2] != 3 or values.dtype.kind not in "fiu":
         raise InputError(f"{path} does not hold poses: it must be numbers of shape T x V x 3, a pose after the other")

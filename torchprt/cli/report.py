@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
+from torchprt.files import CannotWrite
 from torchprt.progress import quiet
 from torchprt.words import count
 
@@ -24,11 +26,36 @@ def say(what: Any) -> None:
 
 def answer(what: Any) -> None:
     """Tells what was asked for."""
-    print(what, flush=True)
+    try:
+        print(what, flush=True)
+    except BrokenPipeError:
+        # Who listened has heard enough, as `head` does; the work goes on. Python itself would complain at its end.
+        _to_nobody(sys.stdout)
+    except OSError as fault:
+        raise unheard(fault) from fault
+
+
+def unheard(fault: OSError) -> CannotWrite:
+    """That standard output goes where there is no room. Nothing more is sent there."""
+    _to_nobody(sys.stdout)
+    return CannotWrite("standard output", str(fault.strerror), "send it elsewhere")
 
 
 def complain(what: Any) -> None:
-    print(f"torchprt: {what}", file=sys.stderr, flush=True)
+    try:
+        print(f"torchprt: {what}", file=sys.stderr, flush=True)
+    except OSError:
+        # There is no place left to complain at; the exit code tells.
+        _to_nobody(sys.stderr)
+
+
+def _to_nobody(stream: Any) -> None:
+    """From here on a stream of this process goes nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, stream.fileno())
+    finally:
+        os.close(nowhere)
 
 
 def triple(values: Tensor | np.ndarray) -> str:

@@ -12,7 +12,7 @@ from torchprt.cli import picture_options as asked
 from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable
+from torchprt.files import check_writable, write_array
 from torchprt.suffixes import PICTURES
 from torchprt.words import count
 
@@ -58,7 +58,6 @@ def shade(
     """
     ends = check_writable(output, (".npy", ".ply", ".glb", *PICTURES)).suffix.lower()
 
-    import numpy as np
     import torch
 
     import torchprt as prt
@@ -94,7 +93,8 @@ def shade(
     with torch.no_grad():
         radiance = shader(sh.rotate(environment.light, picture.rotation), **seen, **moved).float()
     studio = picture.studio(loaded, shader, environment)
-    dark = int((loaded.normals.abs().sum(-1) == 0).sum())
+    # Others were filled from their neighbours.
+    dark = int(((loaded.normals == 0).all(-1) & (radiance == 0).all(-1)).sum())
     if dark:
         say(f"{dark} of {count(len(radiance), 'vertex')} without a normal read 0")
     negative = int((radiance < 0).any(-1).sum())
@@ -117,8 +117,7 @@ def shade(
         say(f"{output}: {preview.save_lit_glb(loaded, linear, output, near=transfer.parent)}")
     else:
         radiance = loaded.receivers.in_mesh_order(radiance)
-        with atomic(output) as temporary, temporary.open("wb") as stream:
-            np.save(stream, radiance.contiguous().numpy())
+        write_array(output, radiance.contiguous().numpy())
     shown = "" if ends == ".npy" else f", exposure {studio.exposure:+.2f} stops"
     mean = f"{count(len(radiance), 'vertex')}, mean radiance {triple(radiance.mean(0))}"
     say(f"{output}: {mean}{shown}, under {environment.name}")

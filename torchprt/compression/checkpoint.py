@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchprt.checkpoint import CheckpointWarning, fingerprint
 from torchprt.errors import InputError
-from torchprt.files import atomic, check_writable
+from torchprt.files import CannotWrite, atomic, check_writable
 
 _KIND = "checkpoint of a compression"
 # Seconds between two writings, at least.
@@ -72,6 +72,9 @@ class Checkpoint:
             return
         if isinstance(fault, KeyboardInterrupt) or (fault is None and self._keep):
             self._save()
+        elif isinstance(fault, CannotWrite):
+            # What was kept before is what the work goes on from once there is room.
+            return
         elif fault is None or (isinstance(fault, InputError) and self._ours):
             self.path.unlink(missing_ok=True)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,8 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write_array
 from torchprt.sh import order_of
+from torchprt.suffixes import check_readable
 
 
 def read_coefficients(path: str | os.PathLike[str], order: int | None = None) -> Float[Tensor, "N 3"]:
@@ -21,11 +21,10 @@ def read_coefficients(path: str | os.PathLike[str], order: int | None = None) ->
     Raises InputError, naming the file, if it is missing, damaged or not a light: N must be a square number, three
     channels, all finite; and of `order`, if one is given.
     """
+    check_readable(path, "give an image or an .npy of light coefficients")
     try:
         with open(path, "rb") as stream:
             values = np.lib.format.read_array(stream, allow_pickle=False)
-    except FileNotFoundError as fault:
-        raise InputError(f"{path} does not exist: give an image or an .npy of light coefficients") from fault
     except Exception as fault:  # Damaged headers end in exceptions of any kind, MemoryError and TokenError among them.
         raise InputError(f"{path} is not a whole .npy file of numbers: write it with `torchprt light`") from fault
     if values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind not in "fiu":
@@ -53,6 +52,4 @@ def read_coefficients(path: str | os.PathLike[str], order: int | None = None) ->
 
 def write_coefficients(light: Float[Tensor, "N 3"], path: str | os.PathLike[str]) -> None:
     """Writes a light as float32 `.npy`. Raises InputError if `path` cannot be written."""
-    # A stream, because numpy puts .npy behind any other suffix.
-    with atomic(Path(path)) as temporary, temporary.open("wb") as stream:
-        np.save(stream, light.detach().cpu().to(torch.float32).numpy())
+    write_array(path, light.detach().cpu().to(torch.float32).numpy())

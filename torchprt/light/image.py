@@ -13,7 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.light import exr, rgbe
 from torchprt.light.damage import DamagedImageWarning, ImageReport, mend
-from torchprt.suffixes import refuse_other
+from torchprt.suffixes import check_readable, refuse_other
 
 
 def read(path: str | os.PathLike[str], *, repair: bool = False) -> Float[Tensor, "H W 3"]:
@@ -38,7 +38,7 @@ def read_with_report(
     path: str | os.PathLike[str], *, repair: bool = False
 ) -> tuple[Float[Tensor, "H W 3"], ImageReport]:
     """As `read`, but what was found and done is returned instead of warned of."""
-    file = Path(path)
+    file = check_readable(path)
     try:
         with file.open("rb") as stream:
             lead = stream.read(4)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-from pathlib import Path
 from typing import Any
 
 import onnx
@@ -13,6 +12,7 @@ from google.protobuf.message import DecodeError
 
 from torchprt.errors import InputError
 from torchprt.onnx.operators import count_operators
+from torchprt.suffixes import check_readable
 from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
 from torchprt.version import VERSION
@@ -89,9 +89,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     Raises InputError, naming the file and the fault, if it is missing, truncated, not ONNX, not of this project or
     of a newer format.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} does not exist: give a file that `torchprt export` wrote")
+    path = check_readable(path, "give a file that `torchprt export` wrote")
     try:
         model = onnx.load(path, load_external_data=False)
     except (DecodeError, OSError) as fault:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from dataclasses import dataclass
 
@@ -14,9 +13,10 @@ from torchprt.brdf import Brdf
 from torchprt.errors import InputError
 from torchprt.light import project
 from torchprt.preview.camera import frame
+from torchprt.preview.encode import encoded, image_of
 from torchprt.preview.environment import Environment, automatic_exposure, built_in_environment, photograph
 from torchprt.preview.ground import subject
-from torchprt.preview.saving import image_of, save_picture
+from torchprt.preview.saving import save_picture
 from torchprt.preview.turntable import Studio
 from torchprt.sh import order_of
 from torchprt.shade import display, shader
@@ -40,9 +40,7 @@ class Picture:
         save_picture(self.values, path)
 
     def _repr_png_(self) -> bytes:
-        stream = io.BytesIO()
-        image_of(self.values).save(stream, format="PNG")
-        return stream.getvalue()
+        return encoded(image_of(self.values), format="PNG")
 
     def __repr__(self) -> str:
         height, width, channels = self.values.shape

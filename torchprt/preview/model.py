@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.files import atomic
+from torchprt.files import write
 from torchprt.shade.display import TONE, ToneMap, check_tone, display, tone_mapped
 
 
@@ -45,5 +44,4 @@ def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, pat
         model = trimesh.PointCloud(points, colors=np.asarray(colour.cpu()))
     content = model.export(file_type="ply")
     assert isinstance(content, bytes)
-    with atomic(Path(path)) as temporary:
-        temporary.write_bytes(content)
+    write(path, content)

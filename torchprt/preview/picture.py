@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write
 from torchprt.preview.camera import Camera, frame
+from torchprt.preview.encode import encoded, image_of
 from torchprt.shade import srgb, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.trace import Tracer
@@ -179,8 +178,4 @@ def save_png(picture: Float[Tensor, "H W C"], path: str | os.PathLike[str]) -> N
 
     Raises InputError if `path` cannot be written.
     """
-    from PIL import Image
-
-    values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-    with atomic(Path(path)) as temporary:
-        Image.fromarray(np.ascontiguousarray(values)).save(temporary, format="PNG")
+    write(path, encoded(image_of(picture), format="PNG"))

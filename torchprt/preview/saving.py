@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write
+from torchprt.preview.encode import encoded, image_of
 from torchprt.preview.turntable import save_gif
 from torchprt.preview.video import save_mp4
 from torchprt.suffixes import MOVIES, PICTURES, TRANSPARENT
@@ -37,9 +36,7 @@ def save_picture(picture: Float[Tensor, "H W C"], path: str | os.PathLike[str]) 
     target = Path(path)
     kind, options = _format(target)
     _check_opacity(target, picture)
-    image = image_of(picture)
-    with atomic(target) as temporary:
-        image.save(temporary, format=kind, **options)
+    write(target, encoded(image_of(picture), format=kind, **options))
 
 
 def save_movie(
@@ -73,8 +70,8 @@ def save_movie(
     # In milliseconds, each the difference of rounded times, so that they add up.
     ends = [round(1000 * (number + 1) / rate) for number in range(len(pictures))]
     durations = [end - start for start, end in zip([0, *ends], ends, strict=False)]
-    with atomic(target) as temporary:
-        first.save(temporary, format=kind, save_all=True, append_images=others, duration=durations, loop=0, **options)
+    options |= {"save_all": True, "append_images": others, "duration": durations, "loop": 0}
+    write(target, encoded(first, format=kind, **options))
 
 
 def numbered(name: str, number: int) -> str:
@@ -93,11 +90,3 @@ def _format(target: Path) -> tuple[str, dict[str, Any]]:
 def _check_opacity(target: Path, picture: Tensor) -> None:
     if picture.shape[-1] == 4 and target.suffix.lower() not in TRANSPARENT:
         raise InputError(f"{target} cannot hold transparency: write {either(TRANSPARENT)}")
-
-
-def image_of(picture: Float[Tensor, "H W C"]) -> Any:
-    """sRGB values in [0, 1] as an image of Pillow, of 8 bits."""
-    from PIL import Image
-
-    values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-    return Image.fromarray(np.ascontiguousarray(values))

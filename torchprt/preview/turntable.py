@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write
 from torchprt.preview.camera import Camera
+from torchprt.preview.encode import encoded, image_of
 from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, seen_along
 from torchprt.preview.ground import opacity
 from torchprt.preview.orbit import Orbit
@@ -152,15 +151,10 @@ def save_gif(
 
     if not pictures or not 0 < rate <= 50:
         raise InputError(f"{len(pictures)} pictures at {rate} a second: give one or more at a rate up to 50")
-    shown = []
-    for picture in pictures:
-        values = (picture.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-        shown.append(Image.fromarray(np.ascontiguousarray(values)).quantize(255, dither=Image.Dither.FLOYDSTEINBERG))
-    first, *others = shown
-    with atomic(Path(path)) as temporary:
-        # In hundredths of a second, which is what the format stores.
-        duration = 10 * round(100 / rate)
-        first.save(temporary, format="GIF", save_all=True, append_images=others, duration=duration, loop=0)
+    first, *others = (image_of(each).quantize(255, dither=Image.Dither.FLOYDSTEINBERG) for each in pictures)
+    # In hundredths of a second, which is what the format stores.
+    duration = 10 * round(100 / rate)
+    write(path, encoded(first, format="GIF", save_all=True, append_images=others, duration=duration, loop=0))
 
 
 def _positive(count: int) -> int:

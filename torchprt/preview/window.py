@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchprt.errors import InputError
-from torchprt.files import atomic
 from torchprt.preview.controls import HELP, Controls, Event
 from torchprt.preview.drawing import Drawing
+from torchprt.preview.picture import save_png
 from torchprt.preview.session import PLAIN, Session
 
 REST = 0.004
@@ -201,6 +202,12 @@ class Window:
         while (self.pictures / f"preview-{number}.png").exists():
             number += 1
         path = self.pictures / f"preview-{number}.png"
-        with atomic(path) as temporary:
-            self.viewer.capture_screen_image(str(temporary), do_render=True)
-        self.say(f"saved: {path}")
+        # Not by Open3D, which only prints that a disk is full.
+        shown = np.asarray(self.viewer.capture_screen_float_buffer(do_render=True))
+        try:
+            save_png(torch.from_numpy(shown.copy()), path)
+        except InputError as fault:
+            # The window stays: it may have been turned for long.
+            self.say(str(fault))
+        else:
+            self.say(f"saved: {path}")

@@ -41,13 +41,15 @@ class MeshReport:
     computed_normals: int
     """Vertices whose normal was computed from the faces, because the file has none or an unusable one."""
     missing_normals: int
-    """Vertices without any usable normal: they receive no light."""
+    """Vertices without any usable normal. A bake turns those that faces name, or fills them from their neighbours."""
     opposed_normals: int
     """Vertices whose normal in the file points to the back of their faces."""
     inside_out: bool = False
     """Closed, but all faces turn their backs outward: right for a room seen from within, and for nothing else."""
     missing_tangents: int = 0
     """Vertices that the file's tangents or texture coordinates, if it has any, give no direction."""
+    dark_vertices: int = 0
+    """Those without a usable normal that no face names either: they receive no light."""
     notes: tuple[str, ...] = ()
     """What the file holds beside, in sentences."""
 
@@ -82,8 +84,13 @@ class MeshReport:
             lines.append(f"{count(self.computed_normals, 'normal')} computed from the faces.")
         if self.opposed_normals:
             lines.append(f"{count(self.opposed_normals, 'normal')} pointing to the back of the faces: kept.")
-        if self.missing_normals:
-            lines.append(f"{count(self.missing_normals, 'vertex')} without a usable normal: will receive no light.")
+        if seen := self.missing_normals - self.dark_vertices:
+            lines.append(
+                f"{count(seen, 'vertex')} of faces without a usable normal: turned or filled by a bake, "
+                "unless it is raw or unshadowed."
+            )
+        if self.dark_vertices:
+            lines.append(f"{count(self.dark_vertices, 'vertex')} of no face and no normal: will receive no light.")
         if self.missing_tangents:
             lines.append(
                 f"{count(self.missing_tangents, 'vertex')} whose texture coordinates give no tangent: "
@@ -123,6 +130,7 @@ def check(
         unreferenced_vertices=int((~referenced).sum()),
         computed_normals=int((computed & np.any(normals != 0, axis=1)).sum()),
         missing_normals=int(np.all(normals == 0, axis=1).sum()),
+        dark_vertices=int((~referenced & np.all(normals == 0, axis=1)).sum()),
         opposed_normals=int((np.einsum("ij,ij->i", normals, from_faces) < 0).sum()),
         # A sheet with two sides encloses nothing, up to the rounding of the sum.
         inside_out=closed and _volume(positions, faces) < -1e-9,

@@ -33,7 +33,7 @@ class Geometry:
     """The receiver on the reverse of each vertex; -1 where the surface is one-sided."""
     receiver_positions: Float64[Tensor, "V 3"]
     receiver_normals: Float64[Tensor, "V 3"]
-    """Unit length, or zero: such a receiver gets no light."""
+    """Unit length, or zero: such a receiver gets no light by its own rays."""
     albedo: Float32[Tensor, "V C"]
     """Of the receivers: three channels if the albedo of any of them is coloured, else one."""
     display_faces: Int64[Tensor, "Fd 3"]

@@ -13,6 +13,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 
 from torchprt.errors import InputError
+from torchprt.suffixes import check_readable
 
 from .gltf_decode import MESHOPT, decode_meshopt
 
@@ -68,11 +69,9 @@ class Document:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Document":
         """The document of a file. Raises InputError, naming it, if it does not exist or is damaged."""
-        source = Path(path)
+        source = check_readable(path)
         try:
             content = source.read_bytes()
-        except FileNotFoundError as fault:
-            raise InputError(f"{source} does not exist: check the name") from fault
         except OSError as fault:
             raise InputError(f"{source} cannot be read ({fault.strerror}): check the name") from fault
         with whole(source):
@@ -127,6 +126,8 @@ class Document:
         if "://" in uri:
             raise InputError(f"{self.source} names {uri}: download it and name the file beside the mesh")
         path = self.source.parent / unquote(uri)
+        if path.exists():
+            check_readable(path)
         try:
             return path.read_bytes(), ""
         except FileNotFoundError as fault:

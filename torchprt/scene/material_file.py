@@ -11,6 +11,7 @@ import torch
 from torchprt import brdf
 from torchprt.brdf import Brdf, Tabulated, parse
 from torchprt.errors import InputError
+from torchprt.suffixes import check_readable
 
 from .material import Material
 from .toml_file import colour, number, only, read_toml
@@ -114,6 +115,8 @@ def _table(source: Path, name: Any) -> Brdf:
     if not isinstance(name, str):
         raise InputError(f'{source} has tabulated = {name!r}: give the name of a .npy file, "paint.npy"')
     path = source.parent / name
+    if path.exists():
+        check_readable(path)
     try:
         values = np.load(path, allow_pickle=False)
     except FileNotFoundError as fault:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torchprt.errors import InputError
-from torchprt.suffixes import refuse_other
+from torchprt.suffixes import check_readable, refuse_other
 
 from .gltf import Document, Piece
 from .gltf import pieces as gltf_pieces
@@ -81,10 +81,9 @@ def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
         refuse_other(source, "a mesh")
         known = ", ".join(READERS)
         raise InputError(f"{source} is not a mesh file that can be read: convert it to one of {known}")
+    check_readable(source)
     try:
         data = source.read_bytes()
-    except FileNotFoundError as fault:
-        raise InputError(f"{source} does not exist: check the name") from fault
     except OSError as fault:
         raise InputError(f"{source} cannot be read ({fault.strerror}): check the name and its permissions") from fault
     if not data.strip():

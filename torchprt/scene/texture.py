@@ -149,7 +149,10 @@ class Picture:
     def _open(self) -> Any:
         import PIL.Image
 
-        content = self.read()
+        try:
+            content = self.read()
+        except OSError as fault:
+            raise InputError(f"the picture {self.name} cannot be read ({fault.strerror}): copy it again") from fault
         if content.startswith(b"\xabKTX"):
             raise InputError(f"the picture {self.name} is KTX2, which is not read: convert it to .png or .jpg")
         try:

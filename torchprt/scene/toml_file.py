@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from torchprt.errors import InputError
+from torchprt.suffixes import check_readable
 
 
 def read_toml(source: Path) -> dict[str, Any]:
@@ -13,10 +14,9 @@ def read_toml(source: Path) -> dict[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
+    check_readable(source)
     try:
         return tomllib.loads(source.read_text(encoding="utf-8"))
-    except FileNotFoundError as fault:
-        raise InputError(f"{source} does not exist: check the name") from fault
     except OSError as fault:
         raise InputError(f"{source} cannot be read ({fault.strerror}): check the name and its permissions") from fault
     except ValueError as fault:  # Both of bad UTF-8 and of bad TOML.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.suffixes import refuse_other
+from torchprt.suffixes import check_readable, refuse_other
 from torchprt.transfer.format1 import from_format1
 from torchprt.transfer.layer import Layer
 from torchprt.transfer.layout import Part
@@ -69,9 +69,7 @@ def load(path: str | os.PathLike[str]) -> Transfer:
     kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
     value that is not finite.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} does not exist: give a file that `torchprt bake` wrote")
+    path = check_readable(path, "give a file that `torchprt bake` wrote")
     refuse_other(path, "a transfer")
     try:
         with safe_open(path, framework="pt") as file:
@@ -80,8 +78,9 @@ def load(path: str | os.PathLike[str]) -> Transfer:
             def tensor(name: str) -> Tensor:
                 if name not in names:
                     raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
+                # A copy: what is a map of the file ends the process when another program cuts the file short.
                 value: Tensor = file.get_tensor(name)
-                return value
+                return value.clone()
 
             return _read(path, file.metadata() or {}, tensor)
     except (SafetensorError, OSError) as fault:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
+from torchprt.files import CannotWrite, no_temporary
 from torchprt.progress import Report, Silent
 from torchprt.scene import Geometry, Points, Scene
 from torchprt.sh import Projection
@@ -261,5 +262,9 @@ def _store(
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:
         yield store
+    except CannotWrite as fault:
+        if folder is not None:
+            raise
+        raise no_temporary(fault.reason) from fault
     finally:
         store.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 import warnings
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from torchprt.checkpoint import CheckpointWarning
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import atomic, sentences, temporary_folder
 
 
 class Folder:
@@ -27,7 +26,8 @@ class Folder:
         return self.folder / f"chunk-{number:07d}.safetensors"
 
     def save(self, number: int, tensors: dict[str, Tensor]) -> None:
-        with atomic(self.path(number)) as path:
+        # Not durable: a chunk that a loss of power takes is traced again.
+        with atomic(self.path(number), durable=False) as path:
             save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
 
     def load(self, number: int) -> dict[str, Tensor] | None:
@@ -56,7 +56,7 @@ class Checkpoint(Folder):
     """
 
     def __init__(self, folder: Path | None, fingerprint: str):
-        self._temporary = tempfile.TemporaryDirectory(prefix="torchprt-") if folder is None else None
+        self._temporary = temporary_folder() if folder is None else None
         super().__init__(Path(self._temporary.name) if self._temporary else Path(folder or ""))
         manifest = self.folder / "manifest.json"
         try:
@@ -73,8 +73,9 @@ class Checkpoint(Folder):
                 CheckpointWarning,
                 stacklevel=3,
             )
-            for entry in self.folder.iterdir():
-                entry.unlink()
+            with sentences(self.folder):
+                for entry in self.folder.iterdir():
+                    entry.unlink()
         if not manifest.exists():
             with atomic(manifest) as path:
                 path.write_text(json.dumps({"fingerprint": fingerprint}))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from types import TracebackType
+from typing import Any, TextIO, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
@@ -25,6 +28,25 @@ def rate(speed: float) -> str:
     return f"{speed / unit:.{0 if speed >= 10 * unit else 1}f} {name}"
 
 
+class _Unheard:
+    """A stream whose faults stop nobody: a terminal may be closed, or a log without room, while work goes on."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 class Bar:
     """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager.
 
@@ -38,7 +60,9 @@ class Bar:
             TextColumn("{task.percentage:>3.0f}%"),
         ]
         columns += [_Rate()] if rates else []
-        self._progress = Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True, quiet=quiet()))
+        stream = cast(TextIO, _Unheard(sys.stderr)) if sys.stderr else None
+        console = Console(file=stream, stderr=True, quiet=quiet())
+        self._progress = Progress(*columns, TimeRemainingColumn(), console=console)
         self._task: TaskID | None = None
 
     def __enter__(self) -> Bar:

@@ -25,9 +25,10 @@ def turned(viewer: Viewer, receivers: Receivers, sight: Tensor) -> tuple[Geometr
     """Receivers whose normal is missing, or wrong for most of their faces, with one that sees."""
     geometry = viewer.geometry
     rows = _creased(viewer, receivers)
-    if not len(rows):
-        return geometry, receivers
     sides = sides_of(geometry, rows)
+    if not len(sides.row):
+        # None, or only such whose faces have no area and say nothing.
+        return geometry, receivers
     row = rows[sides.row]
     each = _looking(viewer, receivers, row, sides.normal, sides.inward)
     free = viewer.look(each, row, LOOK).free

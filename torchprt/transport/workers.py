@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
@@ -21,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.files import no_temporary, temporary_folder
 from torchprt.transport.task import R, T, Task
 
 P = TypeVar("P", bound="_Pool")
@@ -80,7 +80,7 @@ class Processes(_Pool):
 
     def __init__(self, count: int):
         super().__init__(count, ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start))
-        self._folder = tempfile.TemporaryDirectory(prefix="torchprt-")
+        self._folder = temporary_folder()
         self._sent: list[tuple[object, Path]] = []
         self._number = itertools.count()
 
@@ -114,6 +114,8 @@ class Processes(_Pool):
         try:
             with path.open("wb") as file:
                 pickle.dump(thing, file, pickle.HIGHEST_PROTOCOL)
+        except OSError as fault:
+            raise no_temporary(str(fault.strerror)) from fault
         except (pickle.PicklingError, AttributeError, TypeError) as fault:
             raise InputError(f"the scene cannot be sent to other processes ({fault}): bake with threads") from fault
         return path

@@ -6,7 +6,6 @@ import gzip
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -18,6 +17,8 @@ from torch import Tensor
 
 from torchprt import onnx, preview
 from torchprt.errors import InputError
+from torchprt.files import atomic_folder, write
+from torchprt.preview.encode import encoded
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
 from torchprt.shade import at_rest, shader
@@ -113,10 +114,9 @@ def export(
         raise InputError("a page needs a light: give one environment or more")
     coefficients = torch.stack([of_order(each, full.order) for each in lights])
     foreign = libraries()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
-        made = Path(scratch) / "page"
-        shutil.copytree(str(resources.files("torchprt.web") / "page"), made, copy_function=shutil.copyfile)
+    with atomic_folder(target) as made:
+        page = str(resources.files("torchprt.web") / "page")
+        shutil.copytree(page, made, copy_function=shutil.copyfile, dirs_exist_ok=True)
         shutil.copytree(foreign, made / "libraries", copy_function=shutil.copyfile)
         report = onnx.export(full, made / MODEL, check=check)
         packed_parity = None if exact else _pack(made / MODEL, full, check)
@@ -144,7 +144,6 @@ def export(
         (made / "scene.json").write_text(json.dumps(about, allow_nan=False), encoding="utf-8")
         own = [*models, made / "mesh.glb", made / "scene.json", *(made / name for name in pictures)]
         model_bytes = sum(path.stat().st_size for path in own)
-        _replace(target, made)
     size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
     names = tuple(each.name for each in lights)
     return PageReport(target, size, model_bytes, names, report.parity, packed_parity, moved)
@@ -204,7 +203,7 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
     name = f"environments/{index}.jpg"
     (folder / "environments").mkdir(exist_ok=True)
     values = (shown(environment) * 255).round().to(torch.uint8).numpy()
-    Image.fromarray(values).save(folder / name, quality=95, subsampling=0)
+    write(folder / name, encoded(Image.fromarray(values), format="JPEG", quality=95, subsampling=0))
     return name
 
 
@@ -230,11 +229,3 @@ def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, titl
             "what": f"{transfer.bytes / compressed.bytes:.1f} times smaller",
         }
     return about
-
-
-def _replace(target: Path, made: Path) -> None:
-    """Puts the folder in its place, with the permissions of any new folder, and the former one away."""
-    former = made.parent / "former"
-    if target.exists():
-        target.rename(former)
-    made.rename(target)

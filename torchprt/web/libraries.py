@@ -10,12 +10,12 @@ import os
 import shutil
 import subprocess
 import tarfile
-import tempfile
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from torchprt.errors import InputError
+from torchprt.files import CannotWrite, atomic_folder
 
 
 @dataclass(frozen=True)
@@ -78,22 +78,16 @@ def libraries() -> Path:
     if folder.is_dir():
         return folder
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise InputError(f"{folder.parent} cannot be made ({fault.strerror}): set XDG_CACHE_HOME") from fault
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".web-") as scratch:
-        made = Path(scratch) / "libraries"
-        made.mkdir()
-        for library in LIBRARIES:
-            _unpack(library, _fetch(library, Path(scratch)), made)
-        for source, name in NOTICES.items():
-            shutil.copyfile(_notice(source), made / name)
-        try:
-            made.rename(folder)
-        except OSError:
-            # Another process was faster, and what it made is the same.
-            if not folder.is_dir():
-                raise
+        with atomic_folder(folder) as made:
+            # The packages lie beside what is made of them, and go with the rest.
+            for library in LIBRARIES:
+                _unpack(library, _fetch(library, made.parent), made)
+            for source, name in NOTICES.items():
+                shutil.copyfile(_notice(source), made / name)
+    except CannotWrite as fault:
+        # Another process may have been faster, and what it made is the same.
+        if not folder.is_dir():
+            raise CannotWrite(folder, fault.reason, f"{fault.advice}, or set XDG_CACHE_HOME to another one") from fault
     return folder
 
 

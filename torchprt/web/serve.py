@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,13 @@ class _Handler(SimpleHTTPRequestHandler):
         pass
 
 
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        # A browser that goes away in the middle of a file is no fault.
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
+
+
 def serve(folder: str | os.PathLike[str], port: int = 0) -> ThreadingHTTPServer:
     """A server of `folder` on 127.0.0.1, on a free port if `port` is 0; run its `serve_forever`, and `server_close` it.
 
@@ -52,6 +60,6 @@ def serve(folder: str | os.PathLike[str], port: int = 0) -> ThreadingHTTPServer:
     if not 0 <= port < 1 << 16:
         raise InputError(f"port {port} is not from 0 to 65535")
     try:
-        return ThreadingHTTPServer(("127.0.0.1", port), functools.partial(_Handler, directory=str(root)))
+        return _Server(("127.0.0.1", port), functools.partial(_Handler, directory=str(root)))
     except OSError as fault:
         raise InputError(f"port {port} cannot be had ({fault.strerror}): give another one") from fault

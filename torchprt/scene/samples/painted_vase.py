@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, UInt8
 
 from torchprt.brdf import GGX
 from torchprt.errors import InputError
-from torchprt.files import atomic
+from torchprt.files import write
 
 from ..glosses import Glosses
 from ..material import Material
@@ -112,8 +112,7 @@ def write_painted_vase(path: str | os.PathLike[str], resolution: int = 128) -> N
             process=False,
         )
         scene.add_geometry(piece, geom_name=material.name)
-    with atomic(path) as temporary:
-        temporary.write_bytes(scene.export(file_type="glb", include_normals=True))
+    write(path, scene.export(file_type="glb", include_normals=True))
 
 
 def _png(texels: UInt8[np.ndarray, "H W 3"]) -> bytes:
