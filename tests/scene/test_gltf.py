@@ -461,7 +461,7 @@ def test_draco_in_a_mirrored_node_shows_the_same_side(read):
 
 def meshopt_square(name: str = "EXT_meshopt_compression", triangles: bool = True) -> Gltf:
     """Quantised positions, octahedral normals, exponential coordinates, and indices of either kind."""
-    import meshopt
+    meshopt = pytest.importorskip("meshopt", reason="meshopt has no package for Python 3.10")
 
     made = Gltf()
     places = np.zeros((4, 4), "<i2")

@@ -1,6 +1,7 @@
 """Do the scripts, what they install and what the package declares belong together?"""
 
 import ast
+import importlib.util
 import os
 import re
 import subprocess
@@ -12,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = [
-    *(ROOT / "scripts" / name for name in ("bench", "demo", "environment", "reproduce", "test")),
+    *(ROOT / "scripts" / name for name in ("bench", "demo", "environment", "minima", "reproduce", "test")),
     ROOT / ".ci/run",
 ]
 
@@ -22,10 +23,18 @@ def canonical(name):
 
 
 @pytest.fixture(scope="module")
-def declared():
+def requirements():
+    """scripts/declared.py, which is no part of a package."""
+    spec = importlib.util.spec_from_file_location("declared", ROOT / "scripts/declared.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def declared(requirements):
     """Canonical names of what pyproject.toml asks for: one set of the base, one of the extras."""
-    tomllib = pytest.importorskip("tomllib", reason="reading pyproject.toml needs Python 3.11")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = requirements.project()
 
     def names(lines):
         return {canonical(re.match(r"[\w.-]+", line)[0]) for line in lines} - {"torchprt"}
@@ -99,3 +108,36 @@ def test_a_benchmark_that_is_none_is_named_beside_those_that_are():
     assert "no benchmark nonesuch" in sentence
     assert " ".join(sorted(path.stem for path in (ROOT / "scripts/benchmarks").glob("*.py"))) in sentence
     assert "bake" in sentence
+
+
+def test_every_requirement_has_a_lower_bound_that_the_tested_version_meets(requirements):
+    project = requirements.project()
+    tested = dict(
+        line.split("#")[0].split(";")[0].strip().split("==")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line.split("#")[0].split(";")[0]
+    )
+    tested = {canonical(name): version for name, version in tested.items()}
+    found = list(requirements.declared(project["optional-dependencies"], project))
+    assert len(found) > 20
+    for requirement in found:
+        assert requirements.oldest(requirement).startswith(f"{requirement.name}==")
+        assert tested[canonical(requirement.name)] in requirement.specifier
+
+
+def test_the_oldest_is_the_lower_bound_and_the_newest_has_none(requirements):
+    table = {
+        "name": "thing",
+        "dependencies": ["a>=1.5", "b>=2,<3; python_version >= '3'", "gone>=1; python_version < '3'"],
+        "optional-dependencies": {"c": ["c[d]>=4"], "all": ["thing[c]", "e>=5"], "other": ["f>=6"]},
+    }
+    found = list(requirements.declared(["all"], table))
+    assert [requirements.oldest(one) for one in found] == ["a==1.5", "b==2", "c[d]==4", "e==5"]
+    assert [requirements.newest(one) for one in found] == ["a", "b<3", "c[d]", "e"]
+    loose = list(requirements.declared([], table | {"dependencies": ["g"]}))
+    with pytest.raises(ValueError, match="g has no lower bound"):
+        requirements.oldest(loose[0])
+
+
+def test_an_interpreter_of_the_minima_that_is_none_is_named():
+    assert "none of /no/such/python is Python 3.10" in failure(ROOT / "scripts/minima", PYTHON="/no/such/python")

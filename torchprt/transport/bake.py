@@ -39,6 +39,7 @@ from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
 
+@torch_on_one_thread()
 def bake(
     scene: Scene,
     *,
@@ -135,7 +136,6 @@ def bake(
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
-        stack.enter_context(torch_on_one_thread())
         store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))

@@ -28,7 +28,10 @@ P = TypeVar("P", bound="_Pool")
 
 @contextlib.contextmanager
 def torch_on_one_thread() -> Iterator[None]:
-    """The bits of a product depend on how it is split."""
+    """The bits of a product depend on how it is split.
+
+    A process that has used several threads of OpenMP cannot be forked and then use several again, so a bake uses none.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
