@@ -12,7 +12,7 @@ from torch import Tensor
 from transfers import random_glossy, stored
 
 from torchprt.compression import compress, decompress, fit
-from torchprt.onnx import SignalGraph, describe, export, signal_graph
+from torchprt.onnx import SignalGraph, by_channel, describe, export, signal_graph
 from torchprt.shade import EyeLayerModule, SignalModule, layer_module, shader, signal_module
 from torchprt.transfer import Dense, Layout, Signal, Transfer, load, save
 from torchprt.transfer.layer import EyeLayer
@@ -104,7 +104,7 @@ class BytesGraph(SignalGraph):
         self.register_buffer("streams", streams.reshape(channels, columns, self.rows * self.receivers))
 
     def forward(self, light, values, frames):
-        sent = (light.permute(2, 0, 1) @ self.streams).reshape(3, -1, self.rows, self.receivers).transpose(0, 1)
+        sent = (by_channel(light) @ self.streams).reshape(3, -1, self.rows, self.receivers).transpose(0, 1)
         return self.weighed(sent.sum(2) if values is None else (sent * values.unsqueeze(1)).sum(2))
 
 

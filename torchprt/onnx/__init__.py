@@ -1,11 +1,12 @@
 """A shader as one self-contained ONNX file, and the proof that it computes the same."""
 
 from .clustered import BlockGraph
+from .contract import ParityError
 from .describe import describe
 from .export import ExportReport, export
 from .layers import LayerGraph, layer_graph
-from .parity import ParityError, ParityReport, compare
-from .signal import SignalGraph, arranged, signal_graph
+from .parity import ParityReport, compare
+from .signal import SignalGraph, arranged, by_channel, signal_graph
 from .zonal import ZonalGraph
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "SignalGraph",
     "ZonalGraph",
     "arranged",
+    "by_channel",
     "compare",
     "describe",
     "export",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torchprt.onnx.signal import SignalGraph, arranged, signal_graph
+from torchprt.onnx.signal import SignalGraph, arranged, by_channel, signal_graph
 from torchprt.shade import ClusteredSignal, SignalModule
 
 # Receivers of one cluster that one product takes: padding against the overhead of a product.
@@ -53,11 +53,10 @@ class BlockSignal(ClusteredSignal):
     def blocks(self, table: Tensor) -> Tensor:
         """The blend of `table [R, D]` as blocks `[G' / BLOCK, D, BLOCK]`."""
         found, number = [], 0
-        columns = table.mT
         while hasattr(self, f"rows{number}"):
             rows, weights = getattr(self, f"rows{number}"), getattr(self, f"weights{number}")
-            picked = columns.index_select(1, rows.flatten()).unflatten(1, rows.shape).transpose(0, 1)
-            found.append(picked @ weights)
+            picked = table.index_select(0, rows.flatten()).unflatten(0, rows.shape)
+            found.append(picked.mT @ weights)
             number += 1
         return found[0] if number == 1 else torch.cat(found)
 
@@ -83,13 +82,13 @@ class BlockGraph(SignalGraph):
             if rows == 1 and channels == 1:
                 return signal[:, 0, 0] @ light.mT.reshape(-1, count).mT
             if rows == 1:
-                sent = signal[:, :, 0].transpose(0, 1) @ light.permute(2, 1, 0)
+                sent = signal[:, :, 0].transpose(0, 1) @ by_channel(light).mT
                 return sent.permute(1, 2, 0).reshape(total, -1)
             flat = signal.transpose(0, 1).reshape(channels, total * rows, count).mT
             if channels == 1:
                 found = (light.mT.reshape(-1, count) @ flat[0]).reshape(-1, total, rows)
             else:
-                found = (light.permute(2, 0, 1) @ flat).transpose(0, 1).reshape(-1, total, rows)
+                found = (by_channel(light) @ flat).transpose(0, 1).reshape(-1, total, rows)
             return found.transpose(0, 1).flatten(1)
 
         sent: Tensor = self.signal.sent(product)

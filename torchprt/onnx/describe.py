@@ -46,8 +46,9 @@ KEYS = (
 def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
     """The `metadata_props` of an exported file: strings, those of `KEYS`, each value as JSON.
 
-    `about`: what the arguments of the export add. `layers` says of each layer its name, its kind and its signal; what
-    the last one (of those that depend on the eye, if there are any) and its signal say of themselves stands beside it.
+    `about`: what the arguments of the export add. `layers` says of each layer its name, its kind and its signal, how
+    many receivers it is about, and what it and its signal say of themselves, such as materials and errors. What the
+    last one (of those that depend on the eye, if there are any) says stands beside `layers` too.
     Transfer that depends on the eye adds `glossy` (how many receivers that layer is about), `specular` and
     `output_order`.
     """
@@ -62,7 +63,10 @@ def metadata(transfer: Transfer, about: dict[str, Any]) -> dict[str, str]:
         "channels": transfer.channels,
         "albedo": "applied, one for all vertices" if transfer.albedo.shape[0] == 1 else "applied, one a vertex",
         "layers": [
-            {"name": each, "kind": layer.kind, "signal": layer.signal.kind} for each, layer in transfer.layers.items()
+            {"name": each, "kind": layer.kind, "signal": layer.signal.kind, "receivers": layer.signal.shape[0]}
+            | layer.signal.metadata()
+            | layer.metadata()
+            for each, layer in transfer.layers.items()
         ],
         **transfer.provenance,
         **last.signal.metadata(),

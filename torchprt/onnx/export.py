@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import onnx
 import torch
@@ -17,17 +16,17 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.onnx.describe import INPUTS, metadata, shape
+from torchprt.onnx.contract import ParityError, Shapes, check_numbers, check_signature, promised, signature
+from torchprt.onnx.describe import INPUTS, metadata
 from torchprt.onnx.graph import Pose, Source
 from torchprt.onnx.operators import OPSET, check_operators, count_operators
-from torchprt.onnx.parity import ParityError, ParityReport, compare
+from torchprt.onnx.parity import ParityReport, compare
 from torchprt.onnx.plan import Plan, plan
 from torchprt.onnx.toward_eye import Eye
 from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 from torchprt.words import count
 
-Shapes: TypeAlias = dict[str, tuple[int | str, ...]]
 # The arguments of a graph whose input has another name in the file.
 ARGUMENTS = {"environment": "light", "view": "eye", "frames": "pose", "positions": "pose"}
 
@@ -84,8 +83,8 @@ def export(
     `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `pose.DeformedFrames`. Glossy lobes
     take an eye and then a pose; a point needs "positions", which is then what they take if `pose` is omitted.
 
-    With `check` the file is run in ONNX Runtime and compared with torch (see `compare`) before it takes its name;
-    ParityError if they differ, and then no file is left.
+    ParityError, and no file is left, if names, dtypes or shapes in the file are not those above or, with `check`, ONNX
+    Runtime and torch differ (see `compare`).
 
     Raises InputError, before anything is written, if the transfer is empty or holds a value that is not finite, the
     weights exceed the 2 GB that one file can hold, or an argument cannot be used.
@@ -105,9 +104,7 @@ def export(
         # Read back: what the exporter was asked for is not always what it wrote.
         model = onnx.load(temporary)
         check_operators(model)
-        inputs = {value.name: shape(value) for value in model.graph.input}
-        outputs = {value.name: shape(value) for value in model.graph.output}
-        _check_shapes(planned, inputs, outputs)
+        inputs, outputs = _check_contract(f"the graph for {path}", planned, transfer.order, model)
         parity = compare(temporary, planned.reference()) if check else None
         if parity is not None and not parity.passed:
             raise ParityError(f"{path} was not written: ONNX Runtime and torch are {parity}")
@@ -171,8 +168,12 @@ def _quiet() -> Iterator[None]:
             registration.setLevel(level)
 
 
-def _check_shapes(planned: Plan, inputs: Shapes, outputs: Shapes) -> None:
-    taken = {name: shape if name in planned.single else ("B", *shape) for name, shape in planned.inputs.items()}
-    wanted = taken, {"radiance": ("B", planned.vertices, 3)}
-    if (inputs, outputs) != wanted:
-        raise RuntimeError(f"the exported graph has inputs {inputs} and outputs {outputs}: {wanted} were asked for")
+def _check_contract(what: str, planned: Plan, order: int, model: onnx.ModelProto) -> tuple[Shapes, Shapes]:
+    """ParityError unless the file has what docs/onnx.md promises; the shapes of its inputs and outputs."""
+    inputs, outputs = signature(list(model.graph.input)), signature(list(model.graph.output))
+    if list(inputs) != list(planned.inputs):
+        raise ParityError(f"{what} takes {', '.join(inputs)}: {', '.join(planned.inputs)} were asked for")
+    check_signature(what, inputs, outputs, promised(order, planned.vertices, planned.about["size"]))
+    check_numbers(what, model)
+    first, second = ({name: shape for name, (_, shape) in values.items()} for values in (inputs, outputs))
+    return first, second

@@ -13,6 +13,8 @@ from torchprt.sh import yaw_pitch_roll
 from torchprt.shade import EyeLayerModule, FixedLightShader, Shader
 
 FAR = 1e4
+# Of eyes, in turn.
+KINDS = 6
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,14 @@ def random_eyes(seen: Seen, name: str, count: int, generator: torch.Generator) -
         ]
     # The lights repeat every 8, the kinds every 6: all meet.
     return torch.stack([kinds[index % len(kinds)][index] for index in range(count)]).float()
+
+
+def eyes_of_all(layers: list[Seen], name: str, count: int, generator: torch.Generator) -> Tensor:
+    """Eyes `[count, 3]` as `random_eyes` has them, those of one layer after those of another; every kind meets every
+    layer as far as `count` reaches. Layers without receivers have none."""
+    seen = [layer for layer in layers if layer.points.shape[1]] or layers[:1]
+    eyes = [random_eyes(layer, name, count, generator) for layer in seen]
+    return torch.stack([eyes[(index + index // KINDS) % len(eyes)][index] for index in range(count)])
 
 
 def conditions(seen: Seen, eye: Tensor | None, view: Tensor | None) -> Tensor:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torchprt.onnx.signal import SignalGraph, arranged, signal_graph
 from torchprt.onnx.toward_eye import Eye, TowardEye
+from torchprt.sh import basis
 from torchprt.shade import EyeLayerModule, FactoredLayer, LayerModule, VisibilityLayer
 
 
@@ -143,11 +144,30 @@ class TowardGraph(SignalGraph):
 
     def __init__(self, layer: VisibilityLayer, weight: Tensor | None) -> None:
         super().__init__(None, weight)
-        self.vectors = layer.vectors
+        # No submodule, as for the exit functions: of its tensors only those that are read belong to the graph.
+        self.layer = [layer]
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         assert values is not None
-        return self.weighed(light.mT @ self.vectors(values.mT))
+        return self.weighed(light.mT @ self.vectors(values.permute(2, 0, 1)).permute(1, 2, 0))
+
+    def vectors(self, values: Tensor) -> Tensor:
+        """Transfer vectors `[G, B, N]` of exit values `[G, B, M]`: what `VisibilityLayer.vectors` computes.
+
+        Receivers first, so that the B eyes are rows of a product and no batch of it: ONNX Runtime does not broadcast a
+        batch of none, and one product with all eyes is faster than one an eye.
+        """
+        layer = self.layer[0]
+        receivers, turn = len(values), layer.turn
+
+        def times(rows: Tensor, table: Tensor) -> Tensor:
+            return (rows.reshape(-1, len(table)) @ table).reshape(receivers, -1, table.shape[1])
+
+        local = times(times(values, layer.kernel) * layer.seen().unsqueeze(1), layer.harmonics)
+        # `sh.Rotation` by the frames: even and odd bands are evaluated apart at turned points, and projected back.
+        points = (layer.frames.permute(0, 2, 1) @ turn.points.mT).movedim(0, -1)
+        parted = (local.unsqueeze(2) * turn.parity.mT).reshape(receivers, -1, local.shape[-1])
+        return times(parted @ basis(points, turn.order).mT, turn.project)
 
 
 class FactorGraph(nn.Module):

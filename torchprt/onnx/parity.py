@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.onnx.hard_cases import conditions, random_eyes, random_poses, receivers
+from torchprt.onnx.contract import check_signature, promised
+from torchprt.onnx.hard_cases import conditions, eyes_of_all, random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader
@@ -32,10 +33,6 @@ MORE: dict[frozenset[str], tuple[tuple[str, ...], ...]] = {
 }
 SCALES = (1.0, 1e-6, 1e6)
 HALF_TURNS = ((0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 180.0, 0.0), (0.0, 0.0, 180.0))
-
-
-class ParityError(RuntimeError):
-    """An exported graph does not compute what the shader computes: a bug of the exporter or of the runtime."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +93,8 @@ def compare(
     24 random lights (bands fall off as 1 / (l + 1)^2, or cube maps with a contrast of 1 to 1000), scaled by 1, 1e-6
     and 1e6, under the identity, half turns about each axis and random rotations; every light runs in a batch of
     every size in `batches`, none of which is the size that the graph was traced with. Where the file takes an eye,
-    each light has its own: near, far (10 000 times the size of the model), in the middle of the model, at a vertex and
-    behind one; or directions of many lengths, along a normal and against it.
+    each light has its own, for the receivers of every layer in turn: near, far (10 000 times the size of the model), in
+    the middle of the model, at a vertex and behind one; or directions of many lengths, along a normal and against it.
 
     Where the file takes a pose, all lights run in three (`random_poses`).
 
@@ -105,12 +102,14 @@ def compare(
     horizon, in a direction that rounding turns by 1 / sin a of its size, a the angle from straight below: its
     difference counts sin a.
 
-    Raises InputError if the file cannot be run or takes other inputs than `module`.
+    Raises InputError if the file cannot be run or takes other inputs than `module`, ParityError if names, dtypes or
+    shapes are not those of docs/onnx.md: float32, and a batch B of every size, the same for all inputs.
     """
     path = Path(path)
     session = open_session(path)
     names = [value.name for value in session.get_inputs()]
     _check_inputs(path, names, module)
+    _check_contract(path, session, module)
     reference = copy.deepcopy(module).double().eval()
     shader = _shader(reference)
     for layer in _eye_layers(reference):
@@ -157,6 +156,15 @@ def _check_inputs(path: Path, names: list[str], module: Module) -> None:
     if names not in known:
         taken = " or ".join(", ".join(inputs) for inputs in known)
         raise InputError(f"{path} takes {', '.join(names)} but the module takes {taken}: compare its own")
+
+
+def _check_contract(path: Path, session: onnxruntime.InferenceSession, module: Module) -> None:
+    inputs, outputs = (
+        {value.name: (value.type, tuple(value.shape)) for value in values}
+        for values in (session.get_inputs(), session.get_outputs())
+    )
+    shader, size = _shader(module), module.size if isinstance(module, EnvironmentShader) else None
+    check_signature(str(path), inputs, outputs, promised(shader.order, shader.vertices, size))
 
 
 def _shader(module: Module) -> Shader | FixedLightShader:
@@ -211,7 +219,8 @@ def _cases(names: list[str], module: Module, shader: Shader | FixedLightShader, 
         cases["rotation"] = rotations
     for name in ("eye", "view"):
         if name in names:
-            cases[name] = random_eyes(receivers(shader, _eye_layers(shader)[-1], {}), name, count, generator)
+            seen = [receivers(shader, layer, {}) for layer in _eye_layers(shader)]
+            cases[name] = eyes_of_all(seen, name, count, generator)
     return cases
 
 

@@ -32,7 +32,7 @@ class SignalGraph(nn.Module):
         rows = vectors.movedim(1, -2)
         if len(rows) == 1:
             return self.weighed(light.mT @ rows[0])
-        lights = light.permute(2, 0, 1)
+        lights = by_channel(light)
         product = lights @ rows if values is None else (lights.unsqueeze(-2) @ rows).squeeze(-2)
         return self.weighed(product.transpose(0, 1))
 
@@ -79,7 +79,7 @@ class VectorGraph(SignalGraph):
 
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         if self.values.ndim == 3:
-            return (light.permute(2, 0, 1) @ self.values).transpose(0, 1)
+            return (by_channel(light) @ self.values).transpose(0, 1)
         if self.weight is not None and self.weight.shape[1] == 1:
             light = light * self.weight.T
         count, receivers = self.values.shape
@@ -111,11 +111,21 @@ class MatrixGraph(SignalGraph):
         channels, columns, _ = self.matrix.shape
         assert values is not None
         if channels == 3:
-            exits = (light.permute(2, 0, 1) @ self.matrix).reshape(3, -1, self.rows, self.receivers)
+            exits = (by_channel(light) @ self.matrix).reshape(3, -1, self.rows, self.receivers)
             return (exits * values).sum(2).movedim(0, 1)
         exits = (light.mT.reshape(-1, columns) @ self.matrix[0]).reshape(-1, 3, self.rows, self.receivers)
         radiance = (exits * values.unsqueeze(1)).sum(2)
         return self.weighed(radiance)
+
+
+def by_channel(light: Tensor) -> Tensor:
+    """`light [B, N, 3]` as `[3, B, N]`, for products whose batch are the channels.
+
+    Not by a Transpose: ONNX Runtime makes one product of a Transpose that moves the first dimension and of the MatMul
+    behind it, which divides by the size of that dimension. With a batch of none the process dies.
+    """
+    channels = light.mT
+    return torch.stack([channels.select(1, channel) for channel in range(3)])
 
 
 def fold(vectors: Tensor, weight: Tensor) -> tuple[Tensor, Tensor | None]:

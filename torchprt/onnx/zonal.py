@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from torchprt.onnx.signal import SignalGraph, fold, signal_graph
+from torchprt.onnx.signal import SignalGraph, by_channel, fold, signal_graph
 from torchprt.shade import ZonalSignal
 
 
@@ -97,9 +97,9 @@ class LobeGraph(nn.Module):
             turned = (frames * self.linear.unsqueeze(1)).sum(2)
             parts = [self.constant, turned, *parts]
         vectors = torch.cat(parts, 1)
-        lights = light.mT.index_select(-1, self.rows) * self.scale
         if self.channels == 3:
-            return (lights.movedim(1, 0) @ vectors).movedim(0, 1)
+            return ((by_channel(light).index_select(-1, self.rows) * self.scale) @ vectors).movedim(0, 1)
+        lights = light.mT.index_select(-1, self.rows) * self.scale
         count, vertices = vectors.shape[1:]
         return (lights.reshape(-1, count) @ vectors[0]).reshape(-1, 3, vertices)
 

@@ -51,13 +51,13 @@ class VisibilityLayer(EyeLayerModule):
 
     def vectors(self, values: Float[Tensor, "*B G M"]) -> Float[Tensor, "*B N G"]:
         """Transfer vectors toward eyes, the eyes first."""
-        local = ((values @ self.kernel) * self._seen()) @ self.harmonics
+        local = ((values @ self.kernel) * self.seen()) @ self.harmonics
         world = self._turned(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
         return world.movedim(-1, 0).mT[0]
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
-        arriving = (local.mT @ self.harmonics.mT) * self._seen().unsqueeze(-2)
+        arriving = (local.mT @ self.harmonics.mT) * self.seen().unsqueeze(-2)
         return (arriving @ self.kernel.mT).movedim(-3, -1).contiguous()
 
     def sent(
@@ -65,7 +65,7 @@ class VisibilityLayer(EyeLayerModule):
     ) -> Float[Tensor, "... 3 G"]:
         return light_product(light, self.toward(values), out=out)
 
-    def _seen(self) -> Float[Tensor, "G D"]:
+    def seen(self) -> Float[Tensor, "G D"]:
         """Visibility at the nodes."""
         return self.signal.applied(self.functions.mT)
 
