@@ -172,7 +172,8 @@ def test_a_table_first_made_there_serves_everyone_afterwards(name, work):
     AT_WORK[work](call)
     found = tensors(call())
     for one, other in zip(found, wanted, strict=True):
-        assert type(one) is torch.Tensor and one.device == CPU
+        assert type(one) is torch.Tensor
+        assert one.device == CPU
         assert not one.is_inference()
         assert not torch._C._functorch.is_functorch_wrapped_tensor(one)
         # Up to rounding: where derivatives are asked for the basis is made in another order.

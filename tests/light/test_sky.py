@@ -129,7 +129,7 @@ def test_up_may_be_any_axis():
 
 
 def test_the_colour_matching_functions_are_near_the_observer_of_1931():
-    wavelength, _, matching = _tables()
+    wavelength, _, matching = _tables(torch.device("cpu"))
     solar = matching.sum(0)
     # Colour of the sun outside the atmosphere: x = .32, y = .33, and 1.9 to 2.0e9 cd / m^2.
     assert abs(float(solar[0] / solar.sum()) - 0.322) < 0.01
@@ -153,7 +153,7 @@ def test_the_sun_gives_a_hundred_kilolux_and_reddens_as_it_sinks():
 
 def test_what_is_left_out_of_the_spectrum_of_the_sun_does_not_matter():
     """Water vapour and mixed gases of Preetham's table 2, put back."""
-    wavelength, _, matching = _tables()
+    wavelength, _, matching = _tables(torch.device("cpu"))
     water = torch.zeros_like(wavelength)
     gases = torch.zeros_like(wavelength)
     for nm, value in {690: 0.016, 700: 0.024, 710: 0.0125, 720: 1.0, 730: 0.87, 740: 0.061, 750: 0.001}.items():

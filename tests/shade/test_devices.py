@@ -8,6 +8,7 @@ import pytest
 import torch
 from every_shader import asked, every_transfer, lights
 from one_device import faults_of
+from transfers import replaced
 from zonal_transfers import random_zonal, turns
 
 from torchprt import InputError, sh
@@ -101,7 +102,7 @@ def test_a_shader_is_where_its_transfer_is_whatever_the_default_device(name):
 def test_what_has_no_values_is_refused_in_one_sentence():
     transfer = TRANSFERS["exit clustered 1"]
     with pytest.raises(InputError, match="transfer is on the meta device"):
-        shader(transfer.to("meta"))
+        shader(replaced(transfer, positions=transfer.positions.to("meta")))
     with pytest.raises(InputError, match="on the meta device has no values"):
         shader(transfer).to("meta").to_empty(device="cpu")
     with pytest.raises(InputError, match="no state dict holds all of it"):

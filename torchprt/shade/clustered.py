@@ -71,18 +71,17 @@ class ClusteredSignal(SignalModule):
         """What receivers have of the rows of `table`, one for each representative."""
         # Under autocast the table is narrower than the weights.
         table = table.to(self.weights.dtype)
+        return with_all_derivatives(self._summed, self._by_receiver, table, self.weights)
 
-        def summed(table: Tensor, weights: Tensor) -> Tensor:
-            return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=weights)
+    def _summed(self, table: Tensor, weights: Tensor) -> Tensor:
+        return embedding_bag(self.rows, table, self.starts, mode="sum", per_sample_weights=weights)
 
-        def by_receiver(table: Tensor, weights: Tensor) -> Tensor:
-            counts = torch.diff(self.starts, append=self.starts.new_full((1,), len(self.rows)))
-            receiver = torch.arange(len(counts), device=counts.device)
-            owner = receiver.repeat_interleave(counts, output_size=len(self.rows))
-            weighted = table.index_select(0, self.rows) * weights.unsqueeze(1)
-            return weighted.new_zeros(len(counts), table.shape[1]).index_add(0, owner, weighted)
-
-        return with_all_derivatives(summed, by_receiver, table, self.weights)
+    def _by_receiver(self, table: Tensor, weights: Tensor) -> Tensor:
+        counts = torch.diff(self.starts, append=self.starts.new_full((1,), len(self.rows)))
+        receiver = torch.arange(len(counts), device=counts.device)
+        owner = receiver.repeat_interleave(counts, output_size=len(self.rows))
+        weighted = table.index_select(0, self.rows) * weights.unsqueeze(1)
+        return weighted.new_zeros(len(counts), table.shape[1]).index_add(0, owner, weighted)
 
     def sent(self, product: Callable[[Tensor], Tensor]) -> Float[Tensor, "R D"]:
         """What representatives become under `product`, linear, of signals `[Q or R, C, M, N]` to rows `[., D]`."""
