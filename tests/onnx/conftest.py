@@ -83,6 +83,9 @@ def a_batch_of_none(elsewhere, seen_folders, tmp_path_factory):
     for folder in set(tmp_path_factory.getbasetemp().iterdir()) - seen_folders:
         seen_folders.add(folder)
         for path in sorted(folder.rglob("*.onnx")) if folder.is_dir() and not folder.is_symlink() else ():
+            # Tests spoil a copy under this name.
+            if path.name == "doctored.onnx":
+                continue
             answer = elsewhere(path, [0])
             if answer in ("not opened", "foreign"):
                 continue

@@ -55,7 +55,7 @@ def check_signature(what: str, inputs: Signature, outputs: Signature, wanted: Sh
 
 
 def check_numbers(what: str, model: onnx.ModelProto) -> None:
-    """ParityError if the graph holds or makes numbers other than `NUMBERS`, such as float64, which web runtimes lack."""
+    """ParityError if the graph holds or makes numbers other than `NUMBERS`, such as float64."""
     for name, dtype in _numbers(model):
         if dtype not in NUMBERS:
             raise ParityError(f"{what} has {onnx.TensorProto.DataType.Name(dtype)} in '{name}': float32 was promised")
