@@ -54,7 +54,7 @@ def _principal_axes(data: Tensor, centre: Tensor, size: float) -> Tensor:
     some = data[:: -(-len(data) // _SAMPLE)]
     some = ((some.double() - centre) / size).to(data.dtype)
     generator = torch.Generator().manual_seed(0)
-    axes = torch.randn(data.shape[1], DIMENSIONS, generator=generator, dtype=torch.float64).to(some)
+    axes = torch.randn(data.shape[1], DIMENSIONS, generator=generator, dtype=torch.float64, device="cpu").to(some)
     for _ in range(4):
         axes = torch.linalg.qr((some.mT @ (some @ axes)).double()).Q.to(some)
     return axes

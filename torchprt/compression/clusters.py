@@ -64,7 +64,7 @@ def spread(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
     Of a few drawn at a time the one is kept that leaves the least error (greedy k-means++).
     """
     most = max(_LEAST_POINTS, _POINTS_PER_CLUSTER * clusters)
-    pool = points[torch.randperm(len(points), generator=generator)[:most].to(points.device)]
+    pool = points[torch.randperm(len(points), generator=generator, device="cpu")[:most].to(points.device)]
     transposed = pool.mT.contiguous()
     squares = pool.square().sum(1)
     tries = 2 + int(math.log(clusters))
@@ -72,7 +72,7 @@ def spread(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
     distance = _distance(pool, transposed, squares, chosen[:1])[0]
     for cluster in range(1, clusters):
         total = distance.cumsum(0, dtype=torch.float64)
-        drawn = torch.rand(tries, generator=generator, dtype=torch.float64).to(total.device) * total[-1]
+        drawn = torch.rand(tries, generator=generator, dtype=torch.float64, device="cpu").to(total.device) * total[-1]
         candidates = torch.searchsorted(total, drawn, right=True).clamp(max=len(pool) - 1)
         left = torch.minimum(distance, _distance(pool, transposed, squares, candidates))
         best = left.sum(1).argmin()

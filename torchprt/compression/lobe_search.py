@@ -84,7 +84,9 @@ class Search:
             points = self._where_error_is_high(_RESTARTED)
             # Of few vectors many at once.
             draws = max(1, min(times - done, CHUNK // max(len(points), 1)))
-            axes = torch.randn(len(self.axes), 3, draws * len(points), generator=generator, dtype=torch.float64)
+            axes = torch.randn(
+                len(self.axes), 3, draws * len(points), generator=generator, dtype=torch.float64, device="cpu"
+            )
             axes = torch.nn.functional.normalize(axes, dim=1).to(self.axes)
             axes, error = refine(self.target[points.repeat(draws)], axes, self.workers, **_DRAWN)
             best = error.view(draws, -1).argmin(0) * len(points) + torch.arange(len(points), device=error.device)

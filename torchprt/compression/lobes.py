@@ -92,8 +92,8 @@ def fit_lobes(
         axis = vectors.new_zeros(lobes, 3, len(vectors))
         axis[:, 2] = 1
         signal = vectors.permute(2, 1, 0)
-        edges = torch.zeros(0, 2, dtype=torch.int64) if faces is None else edges_of(faces)
-        edges = edges.to(vectors.device)
+        none = torch.zeros(0, 2, dtype=torch.int64, device=vectors.device)
+        edges = none if faces is None else edges_of(faces).to(vectors.device)
         found = vectors.new_zeros(lobes, vectors.shape[1], order - first, len(vectors))
         # Band 0 is the same about any axes.
         sought = max(first, 1)
@@ -157,7 +157,7 @@ def _independent(
 
 def _units(order: int, first: int) -> Tensor:
     """Heights of lobes over their coefficients, `[Z, 1]`."""
-    l = torch.arange(first, order, dtype=torch.float64)
+    l = torch.arange(first, order, dtype=torch.float64, device="cpu")
     return ((2 * l + 1) / (4 * math.pi)).sqrt()[:, None]
 
 

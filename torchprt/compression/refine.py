@@ -84,7 +84,7 @@ def _without_surplus(fitted: Fitted, clusters: int, passes: Passes) -> Fitted:
                 most = min(step, fitted.clusters - clusters)
                 spaces = _without(spaces, missed_least(fitted.points, spaces, most, passes.threads, stage.advance))
             fitted = fitted.nearest(spaces, passes, stage)
-            state = {"label": fitted.label, "clusters": torch.tensor(fitted.clusters)}
+            state = {"label": fitted.label, "clusters": torch.tensor(fitted.clusters, device="cpu")}
             stage.keep(state, passes=1 if begun else 2)
     return fitted
 
@@ -110,7 +110,7 @@ def _settled(fitted: Fitted, iterations: int, passes: Passes) -> Tensor:
 
 
 def _number(value: float) -> Tensor:
-    return torch.tensor(value, dtype=torch.float64)
+    return torch.tensor(value, dtype=torch.float64, device="cpu")
 
 
 def missed_least(points: Tensor, spaces: Subspaces, most: int, threads: int, advance: Advance = silent) -> Tensor:

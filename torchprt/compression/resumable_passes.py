@@ -41,7 +41,7 @@ class Stage:
     def keep(self, tensors: dict[str, Tensor], *, passes: int = 1, last: bool = False) -> None:
         """So many more passes are done, and left `tensors`; `last`: none of those that were planned is to follow."""
         self.done = max(self._planned, self.done + passes) if last else self.done + passes
-        self._store.put(self._name, {"done": torch.tensor(self.done)} | tensors)
+        self._store.put(self._name, {"done": torch.tensor(self.done, device="cpu")} | tensors)
         self.reach(self.done)
 
     def reach(self, passes: int) -> None:

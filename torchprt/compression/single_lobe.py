@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchprt.compression.lobe_refinement import Workers
 from torchprt.sh import bands, basis, cube_directions, order_of
+from torchprt.sh.constant import remembered
 
 # Texels along the edge of the hemicube whose centres are tried as axes.
 _TEXELS = 12
@@ -40,13 +41,14 @@ def linear_axis(vectors: Float[Tensor, "*V N"]) -> Float[Tensor, "*V 3"]:
         from torchprt.errors import InputError
 
         raise InputError("vectors have one coefficient: the linear axis is that of band 1, give an order of 2 or more")
-    linear = vectors[..., [3, 1, 2]] * torch.tensor([-1.0, -1.0, 1.0]).to(vectors)
+    linear = vectors[..., [3, 1, 2]] * vectors.new_tensor([-1.0, -1.0, 1.0])
     # Scaled first: the squares of numbers of any size must neither vanish nor overflow.
     size = linear.abs().amax(-1, keepdim=True)
     unit = torch.nn.functional.normalize(linear / torch.where(size > 0, size, 1.0), dim=-1, eps=0.5)
-    return torch.where(size > 0, unit, torch.tensor([0.0, 0.0, 1.0]).to(vectors))
+    return torch.where(size > 0, unit, vectors.new_tensor([0.0, 0.0, 1.0]))
 
 
+@remembered(1)
 def hemicube() -> Float[Tensor, "D 3"]:
     """Directions of which none is opposite to another: lobes about opposite axes are the same."""
     return cube_directions(_TEXELS)[[0, 2, 4]].reshape(-1, 3)
@@ -57,7 +59,7 @@ def best_axis(vectors: Tensor, first: int, workers: Workers) -> Tensor:
 
     Of the hemicube and the optimal linear axis, not refined.
     """
-    directions = hemicube().to(vectors)
+    directions = hemicube(vectors.device).to(vectors)
     order = math.isqrt(len(vectors))
     table = basis(directions, order)
 

@@ -54,7 +54,7 @@ def smooth_lobes(
     linear = linear_axis(signal.sum(1).T).T
     best: tuple[float, Tensor, Tensor] | None = None
     for _ in range(restarts + 1):
-        axes = torch.randn(lobes, 3, 1, generator=generator, dtype=torch.float64).to(vectors)
+        axes = torch.randn(lobes, 3, 1, generator=generator, dtype=torch.float64, device="cpu").to(vectors)
         axes = torch.nn.functional.normalize(axes, dim=1).repeat(1, 1, vectors.shape[2])
         axes[0] = linear
         heights = _heights(Target(vectors, first, _RIDGE), axes, workers)

@@ -58,7 +58,7 @@ def superclusters(faces: Int[Tensor, "F 3"], label: Integer[Tensor, "V"], most: 
             heapq.heappush(heap, (-shared[pair], pair))
         members[kept] |= members[gone]
         members[gone], touching[gone] = set(), []
-    joined = torch.empty(clusters, dtype=torch.int64)
+    joined = torch.empty(clusters, dtype=torch.int64, device="cpu")
     for number, some in enumerate(sorted((sorted(some) for some in members if some), key=lambda some: some[0])):
         joined[some] = number
     return joined.to(label.device)

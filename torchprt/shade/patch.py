@@ -47,7 +47,7 @@ def lay(
         raise InputError(f"frames have shape {list(frames.shape)} for {len(positions)} vertices: give [V, 3, 3]")
     dtype = torch.promote_types(stored.axis.dtype, torch.float32)
     scale = repeat if isinstance(repeat, tuple) else (repeat, repeat)
-    found, albedo = sample(patch, pairs * torch.tensor(scale).to(pairs))
+    found, albedo = sample(patch, pairs * pairs.new_tensor(scale))
     frames = frames.to(dtype)
     shown = (frames[..., 2].detach().abs().amax(-1) > 0).to(dtype)
     first = first_corner(faces, len(positions)) < faces.numel()
