@@ -15,6 +15,7 @@ from torchprt.compression import (
     compress,
     decompress,
     fit,
+    fit_bilinear,
     fit_lobes,
     make_coherent,
     quantise,
@@ -45,6 +46,7 @@ CALLS = {
     "reorder": lambda: reorder(ON_A_MESH, 2),
     "fit": lambda: fit(GLOSSY, lobes=2),
     "at_rest": lambda: at_rest(fit(GLOSSY, lobes=1)),
+    "fit_bilinear": lambda: fit_bilinear(DATA[:36].T.reshape(1, 9, 6, 6).double(), (3, 3), lobes=1, iterations=5),
     "lay": lambda: lay(MAP, POSITIONS.float(), FACES, POSITIONS[:, :2].float()),
     "sample": lambda: sample(MAP, POSITIONS[:, :2].float()),
 }

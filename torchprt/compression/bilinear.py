@@ -32,7 +32,8 @@ def fit_bilinear(
     texels is what makes the lobes of neighbours correspond. Bands 0 and 1 are apart, and linear least squares. The
     others start from the optimal linear axis and further axes turned away from it by equal and opposite angles, with
     their best coefficients, in the plane and by the angle that fit best; then all texels are refined together (L-BFGS).
-    `squared_error` of a texel is the mean over the cells nearest to it. The albedo is 1. Double precision throughout.
+    `squared_error` of a texel is the mean over the cells nearest to it. The albedo is 1. Double precision throughout,
+    on the CPU wherever the vectors are.
 
     Raises InputError if `vectors` are not finite or not finer than the map, the order is below 3, or `lobes` below 1.
     Source: Sloan, Luna and Snyder 2005, section 4.2 (which used conjugate gradients).
@@ -48,9 +49,19 @@ def fit_bilinear(
         )
     if not bool(torch.isfinite(vectors).all()):
         raise InputError("vectors hold NaN or infinity: bake them again")
-    largest = vectors.detach().abs().amax().double()
+    # scipy minimises there.
+    with torch.device("cpu"):
+        return _fitted(vectors.detach().cpu().double(), size, lobes, tiles_u, tiles_v, iterations)
+
+
+def _fitted(
+    vectors: Tensor, size: tuple[int, int], lobes: int, tiles_u: bool, tiles_v: bool, iterations: int
+) -> Transfer:
+    (rows, columns), order = size, order_of(vectors.shape[1])
+    fine_rows, fine_columns = vectors.shape[2:]
+    largest = vectors.abs().amax()
     scale = torch.where(largest > 0, largest, 1.0)
-    signal = vectors.detach().double() / scale
+    signal = vectors / scale
     down, across = interpolation(fine_rows, rows, tiles_v), interpolation(fine_columns, columns, tiles_u)
     # Orthonormal bases make the least-squares fit of a bilinear function separable.
     coarse = torch.linalg.pinv(down) @ signal @ torch.linalg.pinv(across).mT
