@@ -68,9 +68,10 @@ def test_the_snippet_in_python(folder, monkeypatch):
 
 def test_the_page_on_torch_runs(untyped):
     names: dict = {}
-    for block in blocks("python", ROOT / "docs" / "torch.md"):
+    found = blocks("python", ROOT / "docs" / "torch.md")
+    for block in found:
         exec(block, names)
-    assert "functional_call" in block
+    assert len(found) > 1
 
 
 PAGES = [README, ROOT / "CONTRIBUTING.md", ROOT / "export" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -14,6 +14,7 @@ from transfers import random_glossy, stored
 from torchprt.compression import compress, decompress, fit
 from torchprt.onnx import SignalGraph, by_channel, describe, export, signal_graph
 from torchprt.shade import EyeLayerModule, SignalModule, layer_module, shader, signal_module
+from torchprt.shade.dense import matrix_vectors
 from torchprt.transfer import Dense, Layout, Signal, Transfer, load, save
 from torchprt.transfer.layer import EyeLayer
 
@@ -88,9 +89,7 @@ class BytesSignal(SignalModule):
     def toward(self, values, frames=None):
         if values is None:
             return (self.codes[:, :, 0] * self.step[:, None]).mT
-        weights = (values * self.step[:, None]).unsqueeze(-2)
-        rows = [(weights @ codes).squeeze(-2).movedim(-1, 0) for codes in self.codes.to(values.dtype)]
-        return torch.stack(rows)
+        return matrix_vectors(self.codes.to(values.dtype), values * self.step[:, None])
 
 
 @signal_graph.register(BytesSignal)

@@ -72,8 +72,9 @@ def elsewhere():
 
 
 @pytest.fixture(scope="session")
-def seen_folders():
-    return set()
+def seen_folders(tmp_path_factory):
+    """Those of other rooms, and those that were looked through."""
+    return set(tmp_path_factory.getbasetemp().iterdir())
 
 
 @pytest.fixture(autouse=True)

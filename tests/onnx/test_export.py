@@ -278,8 +278,8 @@ def test_describe_reads_back_what_was_exported(written):
 
 
 def test_describe_refuses_a_missing_file_and_a_folder(tmp_path):
-    for path in (tmp_path / "none.onnx", tmp_path):
-        with pytest.raises(InputError, match="does not exist"):
+    for path, fault in ((tmp_path / "none.onnx", "does not exist"), (tmp_path, "it is a folder")):
+        with pytest.raises(InputError, match=fault):
             describe(path)
 
 

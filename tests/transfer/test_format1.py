@@ -67,9 +67,9 @@ def radiance(transfer):
         return module(EXPECTED["light"], **given)
 
 
-def close(value, wanted):
-    # Sums of some hundred products of numbers near 1.
-    return (value - wanted).abs().max() <= 64 * EPSILON * wanted.abs().max()
+def near(name):
+    # Sums of some hundred products of numbers near 1; axes are rounded to float32, and were not of unit length.
+    return 4 * torch.finfo(torch.float32).eps if "zonal" in name else 64 * EPSILON
 
 
 def test_there_is_a_file_of_every_kind():
@@ -83,7 +83,7 @@ def test_there_is_a_file_of_every_kind():
 def test_is_shaded_as_it_was(name):
     transfer = load(path_of(name))
     assert transfer.kind == KINDS[name]
-    assert close(radiance(transfer), EXPECTED[name])
+    assert (radiance(transfer) - EXPECTED[name]).abs().max() <= near(name) * EXPECTED[name].abs().max()
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -91,15 +91,15 @@ def test_a_fixed_eye_light_or_pose_is_what_it_was(name):
     module = shader(load(path_of(name)), dtype=torch.float64)
     given = {"eye": EXPECTED["eye"]} if "eye" in module.needs else {}
     # Visibility turns light by frames that are orthogonal to float32, in which they are stored, or transfer by them.
-    near = 1e-6 if "visibility" in name else 64 * EPSILON
-    near *= float(EXPECTED[name].abs().max())
+    most = 1e-6 if "visibility" in name else near(name)
+    most *= float(EXPECTED[name].abs().max())
     with torch.no_grad():
         if "pose" in module.needs:
             module = module.fix_pose(positions=EXPECTED["positions"])
-            assert (module(EXPECTED["light"], **given) - EXPECTED[name]).abs().max() <= near
+            assert (module(EXPECTED["light"], **given) - EXPECTED[name]).abs().max() <= most
         if given:
-            assert (module.fix_eye(**given)(EXPECTED["light"]) - EXPECTED[name]).abs().max() <= near
-            assert (module.fix_light(EXPECTED["light"])(**given) - EXPECTED[name]).abs().max() <= near
+            assert (module.fix_eye(**given)(EXPECTED["light"]) - EXPECTED[name]).abs().max() <= most
+            assert (module.fix_light(EXPECTED["light"])(**given) - EXPECTED[name]).abs().max() <= most
 
 
 def test_a_map_holds_the_lobes_of_its_texels():
@@ -116,7 +116,7 @@ def test_a_map_holds_the_lobes_of_its_texels():
             vector = torch.zeros(9, dtype=torch.float64)
             vector[:4] = values["exact"][0, :, row, column]
             for lobe in range(2):
-                axis = values["axis"][lobe, :, row, column].double()
+                axis = torch.nn.functional.normalize(values["axis"][lobe, :, row, column].double(), dim=0)
                 vector[4:] += sh.basis(axis, 3)[4:] * values["coefficients"][0, lobe, 0, row, column]
             wanted = patch.albedo[number].double() * (vector @ EXPECTED["light"])
             with torch.no_grad():
@@ -187,7 +187,7 @@ def test_a_glossy_kind_without_diffuse_vectors_has_no_diffuse_layer(tmp_path, na
     assert transfer.order == 3
     with torch.no_grad():
         below = shader(whole, dtype=torch.float64).layers["diffuse"](EXPECTED["light"]).mT
-    assert close(radiance(transfer) + below, EXPECTED[name])
+    assert (radiance(transfer) + below - EXPECTED[name]).abs().max() <= near(name) * EXPECTED[name].abs().max()
 
 
 def test_glossy_lobes_without_diffuse_lobes_have_no_diffuse_layer(tmp_path):

@@ -16,7 +16,8 @@ class SignalGraph(nn.Module):
     `values [B, M, G]` (None where there are none) in a pose of frames `[3, 3, G]` (None at rest). Vertices are last.
 
     As it is, it traces what a signal of `shade` computes; other signals are registered with `signal_graph.register`,
-    as classes made from the module of the signal and the weight `[G or 1, 3 or 1]`.
+    as classes made from the module of the signal and the weight `[G or 1, 3 or 1]`. ONNX Runtime refuses a product that
+    broadcasts a batch of none: put receivers first in `toward`, as `shade.dense.matrix_vectors` does.
     """
 
     weight: Tensor | None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchprt.errors import InputError
 from torchprt.suffixes import check_readable
 
 from .paint import NONE, Colour, Paint
@@ -157,9 +158,13 @@ def picture_map(
     """The map of a picture file whose rows run up with v."""
     # v of the lower edge is 0 there and 1 where pictures are looked up.
     matrix = np.array([[scale[0], 0, offset[0]], [0, -scale[1], 1 - offset[1]]], np.float64)
-    return Map(
-        Picture(path.name, lambda: check_readable(path).read_bytes()), srgb=True, matrix=matrix, wrap=(wrap, wrap)
-    )
+
+    def read() -> bytes:
+        if not path.exists():
+            raise InputError(f"the picture {path.name} is not there")
+        return check_readable(path).read_bytes()
+
+    return Map(Picture(path.name, read), srgb=True, matrix=matrix, wrap=(wrap, wrap))
 
 
 def _beside(source: Path, name: str) -> Path:

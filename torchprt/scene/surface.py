@@ -242,8 +242,7 @@ def _open(paint: Paint, given: Map | None, raw: Raw, some: np.ndarray, notes: li
         corners[bad] = given.corners(np.zeros((1, 3, 2)))
     try:
         texture = given.texture()
-    except (InputError, OSError) as fault:
-        reason = str(fault) if isinstance(fault, InputError) else f"the picture {given.picture.name} is not there"
-        notes.append(f"'{paint.name}' has no picture, its factor alone is taken: {reason}")
+    except InputError as fault:
+        notes.append(f"'{paint.name}' has no picture, its factor alone is taken: {fault}")
         return None
     return Opened(texture, corners, torch.from_numpy(texture.near_origin(corners)))
