@@ -151,3 +151,10 @@ def test_a_picture_of_the_window_that_finds_no_room_is_told_of_and_the_window_st
     assert not list(tmp_path.iterdir())
     window._save()
     assert told[1] == f"saved: {tmp_path / 'preview-1.png'}"
+
+
+def test_a_still_after_a_turntable_is_a_still(tmp_path):
+    save_movie([gradient(), gradient()], tmp_path / "a.webp")
+    save_picture(gradient(8, 12), tmp_path / "b.webp")
+    with PIL.Image.open(tmp_path / "b.webp") as opened:
+        assert (opened.size, opened.n_frames) == ((12, 8), 1)

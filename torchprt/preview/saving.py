@@ -70,7 +70,7 @@ def save_movie(
     # In milliseconds, each the difference of rounded times, so that they add up.
     ends = [round(1000 * (number + 1) / rate) for number in range(len(pictures))]
     durations = [end - start for start, end in zip([0, *ends], ends, strict=False)]
-    options |= {"save_all": True, "append_images": others, "duration": durations, "loop": 0}
+    options = options | {"save_all": True, "append_images": others, "duration": durations, "loop": 0}
     write(target, encoded(first, format=kind, **options))
 
 
