@@ -1,5 +1,6 @@
 """The command line in this process: what it says, where, and how it ends."""
 
+import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -109,3 +110,14 @@ def shaded(done, folder, tmp_path):
         return np.load(tmp_path / "shaded.npy")
 
     return shaded
+
+
+@pytest.fixture
+def no_npm(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Libraries that are only names."""
+    export = importlib.import_module("torchprt.web.export")
+    folder = tmp_path_factory.mktemp("libraries")
+    for name in export.LOADED:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(name)
+    monkeypatch.setattr(export, "libraries", lambda: folder)

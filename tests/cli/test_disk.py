@@ -91,17 +91,6 @@ def inputs(folder, tmp_path_factory):
     return made
 
 
-@pytest.fixture
-def foreign(tmp_path_factory, monkeypatch):
-    """Libraries that are only names."""
-    export = importlib.import_module("torchprt.web.export")
-    folder = tmp_path_factory.mktemp("libraries")
-    for name in export.LOADED:
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(name)
-    monkeypatch.setattr(export, "libraries", lambda: folder)
-
-
 @pytest.fixture(scope="module")
 def traced():
     """The graph of the ball, which takes seconds to trace."""
@@ -109,7 +98,7 @@ def traced():
 
 
 @pytest.fixture
-def write(inputs, run, tmp_path, monkeypatch, untyped, foreign, traced):
+def write(inputs, run, tmp_path, monkeypatch, untyped, no_npm, traced):
     """`write(verb, name, given)`: the verb, which writes `name` into the folder it works in."""
     export = importlib.import_module("torchprt.onnx.export")
 

@@ -1,6 +1,5 @@
 """Does a bake leave as a graph, as a page, as a mesh that carries its transfer?"""
 
-import importlib
 import json
 
 import numpy as np
@@ -11,17 +10,6 @@ from transfers import stored
 
 from torchprt.light import BUILT_IN
 from torchprt.transfer import load
-
-
-@pytest.fixture
-def no_npm(tmp_path_factory, monkeypatch):
-    """Libraries that are only names."""
-    export = importlib.import_module("torchprt.web.export")
-    folder = tmp_path_factory.mktemp("libraries")
-    for name in export.LOADED:
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(name)
-    monkeypatch.setattr(export, "libraries", lambda: folder)
 
 
 @pytest.mark.parametrize(
