@@ -51,6 +51,7 @@ KEYS = {
     "torchprt.light.environment._neighbours": (3,),
     "torchprt.light.sun._tables": (),
     "torchprt.compression.lobe_axes._derivatives": (2,),
+    "torchprt.compression.single_lobe.hemicube": (),
     "torchprt.brdf.integrals._table": (brdf.Lambert(), sh.basis, 2, "views"),
     "torchprt.brdf.table_integrals._entries": (
         brdf.Tabulated(torch.rand(6, 6, 9, generator=torch.Generator().manual_seed(0)) + 0.1),
