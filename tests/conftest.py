@@ -47,6 +47,8 @@ def untyped() -> Iterator[None]:
         for category in (DeprecationWarning, FutureWarning):
             warnings.filterwarnings("ignore", category=category)
         warnings.filterwarnings("ignore", message=".*axis name.*will not be used")
+        # Of torch about that one Python.
+        warnings.filterwarnings("ignore", message=r"Guards may run slower on Python 3\.13\.0")
         yield
     config.update("jaxtyping_disable", False)
 
