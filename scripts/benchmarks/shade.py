@@ -7,6 +7,7 @@ machine's own stream rate, its own matrix product, the plain product of the text
 the eye.
 """
 
+import functools
 import tempfile
 from pathlib import Path
 
@@ -228,6 +229,36 @@ def run_glossy(rounds: int = 9) -> None:
     rich.print(ratios)
 
 
+def run_narrow(rounds: int = 9) -> None:
+    """Prints what narrow types take and lose, side by side with float32."""
+    torch.set_num_threads(1)
+    generator = torch.Generator().manual_seed(1)
+    lights, eye = torch.randn(LIGHTS, ORDER**2, 3, generator=generator), torch.tensor([3.0, 4.0, 5.0])
+    table = Table(f"Narrow types, {VERTICES} diffuse and {GLOSSY} glossy vertices, order {ORDER}, process CPU time")
+    for name, transfer in (("diffuse", random_transfer()), ("matrix", random_glossy(visibility=False))):
+        modules = {dtype: shader(transfer, dtype=dtype) for dtype in (torch.float32, torch.bfloat16, torch.float16)}
+        look = {"eye": eye} if "eye" in transfer.needs else {}
+        for count in (1, LIGHTS):
+            light = lights[:count]
+            calls = {str(d): functools.partial(module, light.to(d), **look) for d, module in modules.items()}
+            with torch.no_grad():
+                times = time_it(calls, rounds=rounds)
+                wanted = shader(transfer, dtype=torch.float64)(
+                    light.double(), **{k: v.double() for k, v in look.items()}
+                )
+                for dtype, module in modules.items():
+                    timing = times[str(dtype)]
+                    table.add(
+                        f"{name}, {count} lights, {dtype}",
+                        seconds=timing,
+                        error=relative_rms(calls[str(dtype)]().double(), wanted),
+                        bytes=sum(buffer.nbytes for buffer in module.buffers()),
+                        extra={"of float32": timing.median / times["torch.float32"].median},
+                    )
+    rich.print(table)
+
+
 if __name__ == "__main__":
     run()
     run_glossy()
+    run_narrow()
