@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 # Edge of a picture in pixels: its rays take 200 bytes each.
 LARGEST = 4096
+# As `torchprt.light.WINDOWS`, which this must not import: --help would wait for torch.
 WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "incident", "visibility")
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
@@ -202,17 +203,12 @@ def positions(path: Path) -> Tensor:
 
 def windowed(coefficients: Tensor, name: str) -> Tensor:
     """The light under one of `WINDOWS`; what the automatic one leaves is told."""
-    from torchprt import sh
+    from torchprt import light, sh
 
-    order = math.isqrt(len(coefficients))
-    if name == "none":
-        return coefficients
+    factors = light.window_factors(coefficients, name)
     if name == "auto":
-        least, kept = sh.least_window(coefficients)
-        say(f"the least window that keeps the light positive leaves {float(kept[-1]):.0%} of the highest band")
-        return least
-    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(coefficients, chosen(order, dtype=coefficients.dtype))
+        say(f"the least window that keeps the light positive leaves {float(factors[-1]):.0%} of the highest band")
+    return sh.window(coefficients, factors)
 
 
 def colour(text: str, option: str, other: str = "") -> float | tuple[float, ...]:

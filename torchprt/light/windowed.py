@@ -1,0 +1,43 @@
+"""A light under a window against ringing that is chosen by its name."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt import sh
+from torchprt.errors import InputError
+
+WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+"""Against ringing."""
+
+
+def window_factors(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "*B n"]:
+    """What one of `WINDOWS`, made for all bands of `light`, multiplies each band by; one window a light.
+
+    - "none": ones.
+    - "hann", "lanczos", "gauss": the curves of `sh`, of a width of as many bands as the light has.
+    - "auto": those of `sh.least_window`.
+
+    Raises InputError for any other name, and with "auto" as `sh.least_window`.
+    """
+    if name not in WINDOWS:
+        raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
+    if name == "auto":
+        return sh.least_window(light)[1]
+    order = sh.order_of(light.shape[-2])
+    if name == "none":
+        factors = torch.ones(order, dtype=light.dtype)
+    else:
+        factors = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name](order, dtype=light.dtype)
+    return factors.to(light.device).expand(*light.shape[:-2], order)
+
+
+def windowed(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "*B N C"]:
+    """`light` with every band multiplied by `window_factors(light, name)`; the light itself if `name` is "none".
+
+    Raises InputError as `window_factors`.
+    """
+    factors = window_factors(light, name)
+    return light if name == "none" else sh.window(light, factors)
