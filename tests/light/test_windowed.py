@@ -44,3 +44,27 @@ def test_none_is_the_light_itself():
 @pytest.mark.parametrize("name", ["hann", "lanczos", "gauss"])
 def test_the_curves_are_those_of_all_bands(name):
     assert torch.equal(light.window_factors(lamps(order=4), name), getattr(sh, name)(4, dtype=torch.float32))
+
+
+@pytest.mark.parametrize("order", [2, 3, 5, 8])
+def test_auto_is_weaker_than_least_and_leaves_no_lobe_negative(order):
+    lamp = lamps(order=order, dtype=torch.float64)
+    auto, least = light.window_factors(lamp, "auto"), light.window_factors(lamp, "least")
+    assert (auto >= least).all()
+    assert (auto[1:] > least[1:]).all()
+    directions, _ = sh.gauss_legendre(20 * order)
+
+    def lowest(factors):
+        gathered = sh.convolve(sh.window(lamp, factors), sh.phong(order**2 / 3, order))
+        values = sh.evaluate(gathered, directions)
+        return float(values.min() / values.max())
+
+    # What `sh.least_window` promises.
+    assert lowest(auto) > -1e-9
+    if (auto < 1).any():
+        assert lowest(auto**0.99) < 0
+
+
+def test_auto_leaves_what_is_smooth_as_it_is():
+    sky = light.overcast_sky(1.0, (0.0, 1.0, 0.0), 5)
+    assert torch.equal(light.windowed(sky, "auto"), sky)

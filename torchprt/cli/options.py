@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Edge of a picture in pixels: its rays take 200 bytes each.
 LARGEST = 4096
 # As `torchprt.light.WINDOWS`, which this must not import: --help would wait for torch.
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+WINDOWS = ("none", "hann", "lanczos", "gauss", "least", "auto")
 FRAMES = ("exit", "incident", "visibility")
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
@@ -202,12 +202,16 @@ def positions(path: Path) -> Tensor:
 
 
 def windowed(coefficients: Tensor, name: str) -> Tensor:
-    """The light under one of `WINDOWS`; what the automatic one leaves is told."""
+    """The light under one of `WINDOWS`; what those leave that depend on the light is told."""
     from torchprt import light, sh
 
     factors = light.window_factors(coefficients, name)
+    left = f"{float(factors[-1]):.0%} of the highest band"
+    if name == "least":
+        say(f"the least window that keeps the light positive leaves {left}")
     if name == "auto":
-        say(f"the least window that keeps the light positive leaves {float(factors[-1]):.0%} of the highest band")
+        weak = f"the least window that keeps what it lights positive leaves {left}"
+        say("no window: nothing that this light shines on turns negative" if bool((factors == 1).all()) else weak)
     return sh.window(coefficients, factors)
 
 

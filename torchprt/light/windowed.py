@@ -9,8 +9,10 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.errors import InputError
 
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+WINDOWS = ("none", "hann", "lanczos", "gauss", "least", "auto")
 """Against ringing."""
+NARROWEST = 3
+"""What "auto" divides the square of the order by, for the exponent of its lobe."""
 
 
 def window_factors(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "*B n"]:
@@ -18,15 +20,20 @@ def window_factors(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "
 
     - "none": ones.
     - "hann", "lanczos", "gauss": the curves of `sh`, of a width of as many bands as the light has.
-    - "auto": those of `sh.least_window`.
+    - "least": the weakest Gaussian that leaves the light nowhere negative, `sh.least_window`.
+    - "auto": the weakest Gaussian that leaves the light nowhere negative once it is gathered in a lobe cos^(n^2 / 3),
+      which is about the narrowest part of the sky that a shadowed receiver of n bands sees. Without any window the
+      radiance of diffuse receivers is nearest to what it should be, and least costs most (docs/ringing.md); this
+      one is weak, and takes the dark spots away that none leaves. Ones for most lights of a high order.
 
-    Raises InputError for any other name, and with "auto" as `sh.least_window`.
+    Raises InputError for any other name, and with "least" and "auto" as `sh.least_window`.
     """
     if name not in WINDOWS:
         raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
-    if name == "auto":
-        return sh.least_window(light)[1]
     order = sh.order_of(light.shape[-2])
+    if name in ("least", "auto"):
+        kernel = sh.phong(order**2 / NARROWEST, order) if name == "auto" else None
+        return sh.least_window(light, kernel)[1]
     if name == "none":
         factors = torch.ones(order, dtype=light.dtype)
     else:

@@ -33,7 +33,7 @@ class Environment:
     image: Float[Tensor, "H W 3"] | None = None
 
 
-def built_in_environment(name: str, order: int, window: str = "auto") -> Environment:
+def built_in_environment(name: str, order: int, window: str = "least") -> Environment:
     """One of `light.BUILT_IN` at `order`, under the least window that keeps it positive, or another of `light.WINDOWS`.
 
     Raises InputError for an unknown name or window.
