@@ -76,8 +76,7 @@ def vectors(order: int, info: torch.finfo) -> dict[str, Tensor]:
 
 def view(order: int, info: torch.finfo) -> dict[str, Tensor]:
     """One of `vectors` at a time."""
-    chosen = {f"{name}, {i}": each for name, value in vectors(order, info).items() for i, each in enumerate(value[:2])}
-    return {"plain": chosen.pop("plain, 0"), **chosen}
+    return {name: value[1] for name, value in vectors(order, info).items()}
 
 
 def light(order: int, info: torch.finfo) -> dict[str, Tensor]:
@@ -189,14 +188,14 @@ def pose(order: int, info: torch.finfo) -> dict[str, Tensor]:
     """Positions of a bumpy square of nine vertices (`zonal_transfers.bumpy`), well and badly treated."""
     from zonal_transfers import bumpy
 
-    some, _ = bumpy(3)
-    spin = rotation(order, info)["plain"]
+    rest, _ = bumpy(3)
+    some = rest @ rotation(order, info)["plain"].T
     return {
-        "plain": some @ spin.T,
-        "at rest": some,
+        "plain": some,
+        "at rest": rest,
         "1e-6 in size": some * 1e-6,
         "1e6 in size": some * 1e6,
-        "1e-30 in size": some * 1e-30,
+        "1e-15 in size": some * 1e-15,
         "1e15 in size": some * 1e15,
         "1e4 away": some + 1e4,
         "in one point": torch.zeros_like(some),

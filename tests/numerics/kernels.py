@@ -30,6 +30,7 @@ class Kernel:
     - `linear`: the argument it is linear in, so that 1e-30 and 1e30 give the same digits.
     - `narrow`: takes float16 and bfloat16, and is worked out in float32: what it loses is the last rounding.
     - `loses`: arguments that have too few digits for the answer, by kind and extreme: finite is all that is asked.
+    - `faint`: those where a gradient is so small beside what it is a difference of that it loses digits.
     - `ends`: calls that must be refused, in a sentence that the page repeats.
     """
 
@@ -43,6 +44,7 @@ class Kernel:
     linear: str | None = None
     narrow: bool = True
     loses: frozenset[tuple[str, str]] = frozenset()
+    faint: frozenset[tuple[str, str]] = frozenset()
     ends: tuple[Callable[[], object], ...] = field(default=())
 
     def __str__(self) -> str:
@@ -123,6 +125,7 @@ ALGEBRA = (
         _turned_lights,
         "the turned basis projected",
         linear="light",
+        loses=frozenset({("rotation", "not quite orthogonal")}),
         ends=(lambda: sh.check_rotation(REFLECTION), lambda: sh.check_rotation(STRETCHED)),
     ),
     Kernel(
@@ -158,6 +161,7 @@ ALGEBRA = (
         "50 digits",
         budget=1,
         narrow=False,
+        faint=frozenset({("exponent", "1e6")}),
         ends=(lambda: sh.phong(-1.0, 5),),
     ),
     Kernel(
@@ -223,6 +227,7 @@ ALGEBRA = (
         {"image": "image"},
         _each_texel,
         "the sum over texels",
+        budget=32,
         linear="image",
     ),
     Kernel(
@@ -237,7 +242,7 @@ ALGEBRA = (
         "sh.least_window",
         lambda order, lit: sh.least_window(lit)[0],
         {"lit": "lit"},
-        orders=(1, 2, 5, 8),
+        orders=(1, 3),
         budget=1e4,
         narrow=False,
         ends=(lambda: sh.least_window(-ONES), lambda: sh.least_window(ONES / 0)),
@@ -251,6 +256,7 @@ LIGHTS = (
         {"image": "image"},
         _each_texel,
         "the sum over texels",
+        budget=32,
         linear="image",
         ends=(lambda: light.project(-torch.ones(4, 8, 3), 3), lambda: light.project(torch.ones(4, 8, 3) / 0, 3)),
     ),
@@ -367,6 +373,7 @@ def _tone(name: str, curve: Callable[[Tensor], Tensor]) -> Kernel:
         {"colour": "colour"},
         orders=(1,),
         budget=64,
+        faint=frozenset({("colour", "one channel 1e6")}),
         narrow=False,
     )
 
@@ -400,6 +407,7 @@ def _shader(name: str) -> Kernel:
     )
 
 
-SHADERS = tuple(_shader(name) for name in TRANSFERS)
+# Each layer with each signal once; numbers of channels in turn.
+SHADERS = tuple(_shader(name) for i, name in enumerate(TRANSFERS) if (i % 2 == 0) == name.endswith("1"))
 
 KERNELS = (*ALGEBRA, *LIGHTS, *REFLECTANCE, *POSES, *TONES, *SHADERS)
