@@ -28,20 +28,26 @@ HEAD = """# Numbers at their limits
 
 Written by `scripts/published_numerics.py`, which `scripts/reproduce` runs; not by hand. Torch {torch}, on a CPU.
 
-Every figure is the largest difference, relative to the largest value of the result, in epsilons of the type: {epsilons}.
-It is that of the worst of the arguments tried: plain ones, and each argument in turn at its extremes. Those are lights of
-0, 1e-30, 1e30, of denormal numbers, and one hot texel of 1e6 in a dark map; directions on the axes and poles, 1e-4, an
-epsilon, 1e-20 and a denormal number off them; vectors as long and as short as the type holds; rotations by nothing, by half
-turns, 1e-8 from both, where angles lock; poses 1e-15 and 1e15 in size; what the type cannot hold is left out.
+Every figure is the largest difference, relative to the largest value of the result, in epsilons of the type:
+{epsilons}.
+
+It is that of the worst of the arguments tried: plain ones, and each argument in turn at its extremes. Those are lights
+of 0, 1e-30, 1e30, of denormal numbers, and one hot texel of 1e6 in a dark map; directions on the axes and poles, 1e-4,
+an epsilon, 1e-20 and a denormal number off them; vectors as long and as short as the type holds; rotations by nothing,
+by half turns, 1e-8 from both, where angles lock; poses 1e-15 and 1e15 in size; what the type cannot hold is left out.
 `tests/numerics` tries the same arguments, and that gradients there are finite and those of float64.
 
-The reference is what the very numbers that were given lead to, in the way that "against" says; where it says float64, the
-kernel itself in float64, and nothing is known of its own digits. The rotation that a narrow type cannot hold is the one
-nearest to it.
+The reference is what the very numbers that were given lead to, in the way that "against" says; where it says float64,
+the kernel itself in float64, and nothing is known of its own digits. The rotation that a narrow type cannot hold is the
+one nearest to it.
 """
 BY_ORDER = """## By order of the light
 
-"ends" is the first of these orders at which the error exceeds {usable:g} of the largest value.
+"ends" is the first of these orders at which the error exceeds {usable:g} of the largest value; in bfloat16 half an
+epsilon is more than that.
+"""
+ONCE = """No more than half an epsilon is lost in float16 and bfloat16, at every one of these orders, by {names}: what
+they give is worked out in a wider type and rounded once.
 """
 AT_ONCE = """## {title}
 
@@ -78,11 +84,13 @@ def worst(kernel: Kernel, order: int, dtype: torch.dtype) -> tuple[float, str]:
 
 
 def by_order(chosen: Sequence[Kernel], tell: Callable[[str], None]) -> str:
+    once = []
     lines = [
         f"| kernel | against | type | {' | '.join(map(str, kernels.ORDERS))} | ends | worst at the highest |",
         "|---|---|---" + "|---" * (len(kernels.ORDERS) + 2) + "|",
     ]
     for kernel in chosen:
+        largest = 0.0
         for dtype in types(kernel):
             tell(f"{kernel.name} {short(dtype)}")
             found = {order: worst(kernel, order, dtype) for order in kernel.orders}
@@ -92,7 +100,12 @@ def by_order(chosen: Sequence[Kernel], tell: Callable[[str], None]) -> str:
             against = kernel.against or "float64"
             row = [f"`{kernel.name}`", against, short(dtype), *cells, ends, found[kernel.orders[-1]][1]]
             lines.append(f"| {' | '.join(row)} |")
-    return "\n".join(lines) + "\n"
+            if torch.finfo(dtype).bits < 32:
+                largest = max(largest, *(eps for eps, _ in found.values()))
+        if kernel.narrow and largest <= 0.5:
+            once.append(f"`{kernel.name}`")
+    said = "\n" + ONCE.format(names=", ".join(once)) if once else ""
+    return "\n".join(lines) + "\n" + said
 
 
 def at_once(chosen: Sequence[Kernel], tell: Callable[[str], None]) -> str:
@@ -129,8 +142,8 @@ ABOUT = {
     "Tone maps": (kernels.TONES, "Radiance from 0 to 1e30."),
     "Shaders": (
         kernels.SHADERS,
-        f"Each layer with each signal, order {kernels.SHADERS[0].orders[0]}, one or three channels, over a diffuse layer. "
-        "Factored layers read a table of random numbers, which changes as functions of order 32.",
+        f"Each layer with each signal, order {kernels.SHADERS[0].orders[0]}, one or three channels, over a diffuse\n"
+        "layer. Factored layers read a table of random numbers, which changes as functions of order 32.",
     ),
 }
 

@@ -2,8 +2,8 @@
 
     python scripts/published_ringing.py [PAGE] [--lights NAME ...] [--orders N ...]
 
-`TORCHPRT_DATA` names a folder with hdri/*.exr; without one, and without shared/data beside the checkout, photographs are
-left out.
+`TORCHPRT_DATA` names a folder with hdri/*.exr; without one, and without shared/data beside the checkout, photographs
+are left out.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from torchprt import light, sh
+from torchprt.light.windowed import NARROWEST
 from torchprt.measure import exit_radiance, exit_radiance_by_brute_force, sample_receivers, sample_transfer
 from torchprt.scene import Material, Points, Scene, samples
 from torchprt.shade import shader
@@ -43,11 +44,11 @@ HEAD = """# Ringing
 
 Written by `scripts/published_ringing.py`, which `scripts/reproduce` runs; not by hand.
 
-A light that is cut off at order n rings: it is negative around its lamps. A window takes that away and blurs. What ought a
-window do, and when? Below, lights without a window and under each of `light.WINDOWS`: the curves of Hann, Lanczos and Gauss
-of width n; "least", the weakest Gaussian that leaves the light itself nowhere negative (`sh.least_window`); "auto", the
-weakest that leaves it nowhere negative once it is gathered in a lobe cos^(n^2 / {narrowest}), about the narrowest part of the
-sky that a shadowed receiver of n bands can tell apart.
+A light that is cut off at order n rings: it is negative around its lamps. A window takes that away and blurs. What
+ought a window do, and when? Below, lights without a window and under each of `light.WINDOWS`: the curves of Hann,
+Lanczos and Gauss of width n; "least", the weakest Gaussian that leaves the light itself nowhere negative
+(`sh.least_window`); "auto", the weakest that leaves it nowhere negative once it is gathered in a lobe
+cos^(n^2 / {narrowest}), about the narrowest part of the sky that a shadowed receiver of n bands can tell apart.
 
 ![A sun at orders 5 and 10, without a window and under auto](images/ringing_sun.png)
 """
@@ -167,12 +168,17 @@ def measured(
     chosen: Mapping[str, Lamp], orders: Sequence[int], tell: Callable[[str], None]
 ) -> dict[tuple[str, int, str], Found]:
     made: dict[tuple[str, int, str], Found] = {}
+    under: dict[tuple[str, int, str], Tensor] = {}
     directions, _ = sh.fibonacci(20_000)
     for name, lamp in chosen.items():
+        tell(name)
         for order in orders:
+            plain = lamp.project(order)
             for window in light.WINDOWS:
-                values = sh.evaluate(light.windowed(lamp.project(order), window), directions)
-                made[name, order, window] = Found(float(values.min() / values.mean()), float(values.max()) / lamp.peak)
+                key = name, order, window
+                under[key] = light.windowed(plain, window)
+                values = sh.evaluate(under[key], directions)
+                made[key] = Found(float(values.min() / values.mean()), float(values.max()) / lamp.peak)
     bodies = scenes()
     for body, scene in bodies.items():
         tell(body)
@@ -182,7 +188,7 @@ def measured(
             mean, size = wanted.mean(), wanted.square().mean().sqrt()
             for order in orders:
                 for window in light.WINDOWS:
-                    shown = receivers.under(light.windowed(lamp.project(order), window))
+                    shown = receivers.under(under[name, order, window])
                     found = made[name, order, window]
                     found.error += float((shown - wanted).square().mean().sqrt() / size) / len(bodies)
                     found.lowest = min(found.lowest, float(shown.min() / mean))
@@ -223,7 +229,9 @@ def mean(values: Sequence[float]) -> float:
     return sum(values) / len(values)
 
 
-def page(names: Sequence[str] = (), orders: Sequence[int] = ORDERS, tell: Callable[[str], None] = lambda _: None) -> str:
+def page(
+    names: Sequence[str] = (), orders: Sequence[int] = ORDERS, tell: Callable[[str], None] = lambda _: None
+) -> str:
     chosen = {name: lamp for name, lamp in lamps().items() if not names or name in names}
     found = measured(chosen, orders, tell)
     gloss = glossy(chosen, tell)
@@ -258,25 +266,25 @@ def page(names: Sequence[str] = (), orders: Sequence[int] = ORDERS, tell: Callab
     bodies = ", ".join(scenes())
     return "\n".join(
         [
-            HEAD.format(narrowest=light.windowed.__globals__["NARROWEST"]),
+            HEAD.format(narrowest=NARROWEST),
             "## What a window costs diffuse surfaces\n",
-            f"Means over {len(chosen)} lights and {len(scenes())} scenes ({bodies}; {RECEIVERS} white, shadowed receivers of "
-            f"each, {RAYS} rays): RMS error of radiance against rays to every texel; in brackets the lowest radiance of any "
-            f"receiver under any light, relative to the mean, and the share of receivers below -{SEEN:.0%} of the mean.\n",
+            f"Means over {len(chosen)} lights and {len(scenes())} scenes ({bodies}; {RECEIVERS} white, shadowed\n"
+            f"receivers of each, {RAYS} rays): RMS error of radiance against rays to every texel; in brackets the\n"
+            "lowest radiance of any receiver under any light, relative to the mean (0 if none is negative), and the\n"
+            f"share of receivers below -{SEEN:.0%} of the mean.\n",
             shading,
             advice(orders, over),
             "## What it costs gloss\n",
-            f"A teapot of `ggx:0.3`, {GLOSSY} receivers toward {VIEWS} directions, against rays under the light of order "
-            f"{HIGH} without a window; as above.\n",
+            f"A teapot of `ggx:0.3`, {GLOSSY} receivers toward {VIEWS} directions, against rays under the light of\n"
+            f"order {HIGH} without a window; as above.\n",
             mirrored,
-            f"Gloss shows the light itself, not the light gathered in a wide lobe: where its shadows must not turn dark, take "
-            f'"least" (at order {GLOSSY_ORDERS[-1]} the lowest is {gloss[GLOSSY_ORDERS[-1], "auto"].lowest:.2f} of the mean '
-            f'under "auto", {gloss[GLOSSY_ORDERS[-1], "least"].lowest:.2f} under "least").\n',
+            advice(GLOSSY_ORDERS, lambda order, window: [gloss[order, window]]),
             "## The lights\n",
-            "The least radiance, relative to the mean; behind it the largest, relative to that of what is projected (of an "
-            f"image averaged to {TEXELS} rows): above 1 it overshoots, below the window or the order blurs.\n",
+            "The least radiance, relative to the mean; behind it the largest, relative to that of what is projected\n"
+            f"(of an image averaged to {TEXELS} rows): above 1 it overshoots, below 1 the order or the window blurs.\n",
             each_light(lambda each: f"{each.least:.2f}, {each.peak:.2g}"),
             "## The shading under each\n",
+            "RMS error as above, and the lowest radiance relative to the mean.\n",
             each_light(lambda each: f"{each.error:.1%} ({each.lowest:.2f})"),
         ]
     )
@@ -287,11 +295,12 @@ def advice(orders: Sequence[int], over: Callable[[int, str], list[Found]]) -> st
     lines = []
     for order in orders:
         none, auto, least = (over(order, window) for window in ("none", "auto", "least"))
+        more = mean([a.error - n.error for a, n in zip(auto, none, strict=True)])
+        less = mean([b.error - a.error for a, b in zip(auto, least, strict=True)])
+        left, before = (mean([each.negative for each in some]) for some in (auto, none))
         lines.append(
-            f"- Order {order}: auto costs {mean([a.error - n.error for a, n in zip(auto, none, strict=True)]):.1%} more than "
-            f"none and {mean([b.error - a.error for a, b in zip(auto, least, strict=True)]):.1%} less than least; it leaves "
-            f"{mean([each.negative for each in auto]):.2%} of the receivers negative, none "
-            f"{mean([each.negative for each in none]):.2%}."
+            f"- Order {order}: auto costs {100 * more:.1f} points more than none and {100 * less:.1f} less than least; it "
+            f"leaves {left:.2%} of the receivers negative, none {before:.2%}."
         )
     return "\n".join(lines) + "\n"
 
