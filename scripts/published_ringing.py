@@ -299,8 +299,8 @@ def advice(orders: Sequence[int], over: Callable[[int, str], list[Found]]) -> st
         less = mean([b.error - a.error for a, b in zip(auto, least, strict=True)])
         left, before = (mean([each.negative for each in some]) for some in (auto, none))
         lines.append(
-            f"- Order {order}: auto costs {100 * more:.1f} points more than none and {100 * less:.1f} less than least; it "
-            f"leaves {left:.2%} of the receivers negative, none {before:.2%}."
+            f"- Order {order}: auto costs {100 * more:.1f} points more than none and {100 * less:.1f} less than least; "
+            f"it leaves {left:.2%} of the receivers negative, none {before:.2%}."
         )
     return "\n".join(lines) + "\n"
 
