@@ -44,10 +44,10 @@ one nearest to it.
 BY_ORDER = """## By order of the light
 
 "ends" is the first of these orders at which the error exceeds {usable:g} of the largest value; in bfloat16 half an
-epsilon is more than that.
+epsilon is more than that. What is refused stands below; all else goes on, with the errors that the rows say.
 """
-ONCE = """No more than half an epsilon is lost in float16 and bfloat16, at every one of these orders, by {names}: what
-they give is worked out in a wider type and rounded once.
+ONCE = """No more than half an epsilon, the rounding of the result, is lost in float16 and bfloat16 at any of these
+orders by {names}.
 """
 AT_ONCE = """## {title}
 
