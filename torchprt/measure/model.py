@@ -34,7 +34,7 @@ def bake_recipe(scene: Scene, recipe: Recipe, **arguments: Any) -> Transfer:
     with warnings.catch_warnings():
         # Its error is what is measured.
         warnings.simplefilter("ignore", OrderWarning)
-        return bake(scene, **given, **arguments)
+        return bake(scene, **{**given, **arguments})
 
 
 def store_recipe(transfer: Transfer, recipe: Recipe, report: Report | None = None) -> Transfer:
