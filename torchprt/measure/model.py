@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -49,6 +49,7 @@ def store_recipe(transfer: Transfer, recipe: Recipe, report: Report | None = Non
             layer=layer,
             clusters=recipe.clusters,
             components=recipe.components,
+            shared=recipe.shared,
             bits=recipe.bits or 32,
             report=report,
         )
@@ -109,10 +110,12 @@ def _graph(transfer: Transfer, light: Tensor, eye: Tensor | None) -> Frame:
 
     from torchprt.onnx import export
 
-    pose = {} if "pose" not in transfer.needs else {"pose": "frames" if eye is None else "positions"}
+    pose: Literal["frames", "positions"] | None = None
+    if "pose" in transfer.needs:
+        pose = "frames" if eye is None else "positions"
     with temporary_folder() as folder:
         path = Path(folder) / "model.onnx"
-        export(transfer, path, check=False, **pose)
+        export(transfer, path, check=False, pose=pose)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         options.log_severity_level = 3
@@ -121,8 +124,8 @@ def _graph(transfer: Transfer, light: Tensor, eye: Tensor | None) -> Frame:
     inputs = {"light": light.numpy(), "rotation": torch.eye(3).expand(count, 3, 3).numpy()}
     if eye is not None:
         inputs["eye"] = eye.float().expand(count, 3).numpy()
-    if "frames" in pose.values():
+    if pose == "frames":
         inputs["frames"] = torch.eye(3).repeat(transfer.vertices, 1, 1).numpy()
-    if "positions" in pose.values():
+    if pose == "positions":
         inputs["positions"] = transfer.positions.float().numpy()
     return lambda: torch.from_numpy(session.run(None, inputs)[0])
