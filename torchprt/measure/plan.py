@@ -16,8 +16,8 @@ from torchprt.errors import InputError
 from torchprt.measure.cost import frame_costs
 from torchprt.measure.plan_clusters import clustered
 from torchprt.measure.probe import Probe
-from torchprt.measure.recipe import Recipe, Runtime
 from torchprt.measure.reasons import not_required, reasons
+from torchprt.measure.recipe import Recipe, Runtime
 from torchprt.preview import Orbit
 from torchprt.progress import Report, Silent
 from torchprt.scene import Scene
@@ -33,13 +33,15 @@ _OUTPUT_ORDERS, _FACTORS = (2, 3, 4, 5, 6, 8), (2, 4, 8)
 _REFERENCE_OUTPUT = (5, 6, 8, 10)
 # Errors that are sought among where only a cost is given.
 _ERRORS = (0.002, 0.003, 0.005, 0.007, 0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
-# Candidates that are timed.
-_TIMED = 6
+# Candidates of a kind that are timed.
+_TIMED = 4
 # Scenes below this are not worth representatives.
 _FEWEST_CLUSTERED = 2000
 # Differences in time below this are noise: the fewest bytes count among those.
 _ALIKE = 1.05
 EYES = 4
+# Receivers of a probe: matrices are as much work as a hundred vectors.
+_MANY, _FEW = 800, 240
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def plan(
     eyes: Float[Tensor, "E 3"] | None = None,
     runtime: Runtime = "eager",
     window: str = "none",
-    count: int = 800,
+    count: int | None = None,
     seed: int = 0,
     report: Report | None = None,
 ) -> Plan:
@@ -83,9 +85,9 @@ def plan(
     `eyes [E, 3]` (for glossy scenes; some around the scene if omitted): where it will be seen from.
     `runtime`, `window`: of the recipe, given and not sought.
 
-    The scene is not baked: `count` of its receivers are, with every number of rays, and the whole once with a few rays
-    for what bounces add (`Probe`); a frame is timed on their transfer, repeated. Clusters are foretold from a sample
-    of receivers and tried on it.
+    The scene is not baked: `count` of its receivers are (800, or 240 of a glossy scene), with every number of rays, and
+    the whole with a few rays for what bounces add (`Probe`); a frame is timed on their transfer, repeated. Clusters are
+    foretold from a sample of receivers and tried on it.
 
     Raises InputError as `Probe`, if a limit is not above 0, and if no recipe keeps to all of them, with what can.
     """
@@ -101,7 +103,7 @@ def plan(
     told.start("probing", 2)
     wanted_error = goal or _ERRORS[0]
     output = _reference_output(scene, order_of(lights.shape[-2]), wanted_error) if glossy else 1
-    probe = Probe(scene, lights, eyes, count=count, output_order=output, seed=seed)
+    probe = Probe(scene, lights, eyes, count=count or (_FEW if glossy else _MANY), output_order=output, seed=seed)
     told.advance(1)
     search = _Search(scene, probe, runtime, window, least)
     found: list[_Priced] = []
@@ -125,7 +127,10 @@ class _Priced:
 
 
 class _Search:
-    """Recipes that keep to an error, and what they cost; nothing is measured twice."""
+    """Recipes that keep to an error, and what they cost; nothing is measured twice.
+
+    `nearest`: the least error that any of those tried has.
+    """
 
     def __init__(self, scene: Scene, probe: Probe, runtime: Runtime, window: str, least: Least):
         self.scene, self.probe, self.least = scene, probe, least
@@ -138,8 +143,12 @@ class _Search:
         dense = sorted(self._dense(error), key=self._numbers)
         if self.least == "seconds":
             dense = sorted(dense, key=self.probe.seconds)
-        chosen = dense[:_TIMED]
-        made = {recipe: 0.0 for recipe in chosen}
+        # Numbers tell of time within a kind of frame only.
+        kinds: dict[tuple[object, ...], list[Recipe]] = {}
+        for recipe in dense:
+            kinds.setdefault((recipe.frame, recipe.factors is None, recipe.shadows), []).append(recipe)
+        chosen = [recipe for kind in kinds.values() for recipe in kind[:_TIMED]]
+        made = dict.fromkeys(chosen, 0.0)
         if self.probe.receivers >= _FEWEST_CLUSTERED and (self.least == "bytes" or bytes is not None):
             plain = [recipe for recipe in chosen if recipe.dtype == "float32"]
             for recipe in plain[:2]:
@@ -264,8 +273,8 @@ def _impossible(
 ) -> str:
     if not found:
         return (
-            f"error is {error:.3g}, which no recipe that is sought among reaches: the nearest has {search.nearest:.3g}, "
-            "ask for that"
+            f"error is {error or _ERRORS[-1]:.3g}, which no recipe that is sought among reaches: the nearest has "
+            f"{search.nearest:.3g}, ask for that"
         )
     time = min(found, key=lambda each: each.milliseconds)
     size = min(found, key=lambda each: each.bytes)

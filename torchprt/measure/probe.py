@@ -13,7 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.measure.model import bake_recipe, windowed
 from torchprt.measure.recipe import Recipe
-from torchprt.measure.sample import sample_scene
+from torchprt.measure.sample import receivers_of, sample_scene
 from torchprt.scene import Scene
 from torchprt.sh import order_of
 from torchprt.shade import shader
@@ -78,6 +78,9 @@ class Probe:
         self._baked: dict[tuple[object, ...], Transfer] = {}
         self._taken: dict[tuple[object, ...], float] = {}
         self._radiance: dict[tuple[object, ...], Tensor] = {}
+        self._bounce_radiance: dict[tuple[object, ...], Tensor] = {}
+        # Of the scene that is baked, some more than are looked at.
+        self._recording = self.scene.geometry().receivers
         self._bounced = self._bounces(scene, chosen)
         self.bounces = len(self._bounced) - 1
         self.output_order = output_order
@@ -99,7 +102,7 @@ class Probe:
         if key not in self._radiance:
             stored = self.baked(recipe).to(getattr(torch, recipe.dtype))
             narrow = torch.bfloat16 if recipe.dtype == "bfloat16" else torch.float64
-            direct = self._shaded(stored, self._light(recipe, self.order), self.rows, narrow)
+            direct = self._shaded(stored, self._light(recipe, self.order), narrow)
             self._radiance[key] = direct + self._added(recipe)
         return self._radiance[key]
 
@@ -116,7 +119,7 @@ class Probe:
         return Estimate(math.sqrt(mean), math.sqrt(mean + 2 * deviation))
 
     def baked(self, recipe: Recipe) -> Transfer:
-        """The direct transfer of the few, of all bands of the light: what lights of fewer bands are put under."""
+        """The direct transfer of the receivers, of all bands of the light: what lights of fewer bands are put under."""
         asked = recipe.replace(order=self.order, bounces=0, window="none")
         if not asked.shadows:
             asked = asked.replace(rays=1)
@@ -125,12 +128,12 @@ class Probe:
             # Another seed than that of the reference, which would share its noise.
             seed = self._seed + (recipe.rays != RAYS)
             start = time.perf_counter()
-            self._baked[key] = bake_recipe(self.scene, asked, progress=False, seed=seed)
+            self._baked[key] = receivers_of(bake_recipe(self.scene, asked, progress=False, seed=seed), self.rows)
             self._taken[key] = time.perf_counter() - start
         return self._baked[key]
 
     def sized(self, recipe: Recipe, channels: int) -> Transfer:
-        """Transfer of the receivers, and of some beside them, of just the size that the recipe stores of each."""
+        """Transfer of the receivers, of just the size that the recipe stores of each."""
         whole = self.baked(recipe)
         layers = {}
         for name, layer in whole.layers.items():
@@ -144,7 +147,7 @@ class Probe:
         if not recipe.shadows:
             return 0.0
         few, many = (self._seconds(recipe.replace(rays=rays)) for rays in (_FEWEST, RAYS))
-        a_ray = max(0.0, many - few) / (RAYS - _FEWEST) / len(self.baked(recipe).positions)
+        a_ray = max(0.0, many - few) / (RAYS - _FEWEST) / self._recording
         direct, spent, rays = self._whole_seconds
         bounce = max(0.0, spent - direct) / max(1, self.bounces) / (rays * self.receivers)
         return self.receivers * recipe.rays * (a_ray + recipe.bounces * bounce)
@@ -161,21 +164,20 @@ class Probe:
         return torch.cat([used, used.new_zeros(len(used), order**2 - kept**2, 3)], 1)
 
     def _shaded(
-        self, transfer: Transfer, light: Tensor, rows: Tensor, dtype: torch.dtype = torch.float64
+        self, transfer: Transfer, light: Tensor, dtype: torch.dtype = torch.float64
     ) -> Float[Tensor, "B E v 3"]:
         module = shader(transfer, dtype=dtype)
         light = light if dtype == torch.float64 else light.float()
         with torch.no_grad():
             if "eye" not in module.needs:
                 found = module(light).double()[:, None]
-                return found[:, :, rows].expand(-1, 1 if self.eyes is None else len(self.eyes), -1, -1)
+                return found.expand(-1, 1 if self.eyes is None else len(self.eyes), -1, -1)
             assert self.eyes is not None
             # One after the other: the vectors toward an eye are as large as those of a diffuse layer.
-            return torch.stack([module(light, eye=eye)[:, rows].double() for eye in self.eyes.double()], 1)
+            return torch.stack([module(light, eye=eye).double() for eye in self.eyes.double()], 1)
 
     def _bounces(self, scene: Scene, chosen: Tensor) -> list[Transfer]:
-        """The whole scene with 0, 1, 2, ... bounces, at the chosen receivers alone; as many as light takes to be spent."""
-        self._chosen = chosen
+        """The whole scene with 0, 1, 2, ... bounces, until light is spent, to be shaded at the chosen receivers."""
         rays = min(256, max(_FEWEST, _BOUNCE_RAYS // max(1, self.receivers)))
         order = min(self.order, _BOUNCE_ORDER)
         recipe = Recipe(
@@ -185,9 +187,9 @@ class Probe:
 
         def bounced(bounces: int | float) -> Transfer:
             start = time.perf_counter()
-            made = bake_recipe(scene, recipe, progress=False, seed=self._seed, **{"bounces": bounces})
+            made = bake_recipe(scene, recipe, progress=False, seed=self._seed, bounces=bounces)
             taken.append(time.perf_counter() - start)
-            return made
+            return receivers_of(made, chosen)
 
         spent = bounced(math.inf)
         found = [bounced(number) for number in range(min(int(spent.bounces), _MOST_BOUNCES))]
@@ -198,7 +200,10 @@ class Probe:
         """What the bounces of the recipe add to direct light."""
         if recipe.bounces == 0 or not recipe.shadows:
             return 0.0
-        last = self._bounced[min(recipe.bounces, self.bounces)]
-        light = self._light(recipe, last.order)
-        with_, without = (self._shaded(each, light, self._chosen) for each in (last, self._bounced[0]))
-        return with_ - without
+        last = min(recipe.bounces, self.bounces)
+        key = last, min(recipe.order, _BOUNCE_ORDER), recipe.window, recipe.order * (recipe.window != "none")
+        if key not in self._bounce_radiance:
+            light = self._light(recipe, self._bounced[0].order)
+            with_, without = (self._shaded(self._bounced[each], light) for each in (last, 0))
+            self._bounce_radiance[key] = with_ - without
+        return self._bounce_radiance[key]

@@ -33,7 +33,8 @@ def reasons(probe: Probe, recipe: Recipe, error: float) -> Iterator[str]:
     elif recipe.frame == "visibility":
         yield "visibility and a product at run time: a number of coefficients instead of a matrix a receiver"
     if recipe.clusters is not None:
-        yield f"clusters of {count(recipe.components or 0, 'component')} in {recipe.bits} bits: fewer bytes lose too much"
+        size = f"{recipe.clusters} clusters of {count(recipe.components or 0, 'component')} in {recipe.bits} bits"
+        yield f"{size}: the fewest bytes that lose no more"
     if recipe.dtype != "float32":
         yield f"stored in {recipe.dtype}: half of the bytes, {lost} instead of {without(dtype='float32')} is lost"
     yield f"all in all {lost} of {error:.2%} that may be lost" + (", before clusters" if recipe.clusters else "")

@@ -79,7 +79,25 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
         rows.append(torch.searchsorted(used, wanted) + sum(len(each.mesh.positions) for each in objects))
         numbers.append(wanted)
         objects.append(_recording(geometry, used, faces, material))
-    return Scene([*objects, _blocking(geometry)]), torch.cat(rows), torch.cat(numbers)
+    among = torch.cat(numbers)
+    ascending = among.argsort()
+    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)[ascending], among[ascending]
+
+
+def receivers_of(transfer: Transfer, chosen: Int64[Tensor, "v"]) -> Transfer:
+    """The transfer of those of its receivers alone that `chosen` numbers, each once, in that order, without faces."""
+    place = torch.full((transfer.vertices,), -1)
+    place[chosen] = torch.arange(len(chosen))
+    layers = {}
+    for name, layer in transfer.layers.items():
+        places = place[layer.index(transfer.vertices).long()]
+        kept = torch.nonzero(places >= 0)[:, 0]
+        kept = kept[places[kept].argsort()]
+        layers[name] = layer.take(kept, places[kept])
+    vertices = Vertices(
+        positions=transfer.positions[chosen], normals=transfer.normals[chosen], faces=transfer.faces[:0]
+    )
+    return dataclasses.replace(transfer, receivers=vertices, layers=layers)
 
 
 def sample_transfer(transfer: Transfer, chosen: Int[Tensor, "g"]) -> Transfer:
