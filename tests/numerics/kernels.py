@@ -304,7 +304,6 @@ LIGHTS = (
 )
 
 
-
 def _reflectance(name: str, model: brdf.Brdf, budget: float) -> Kernel:
     """Every pair of directions."""
     return Kernel(

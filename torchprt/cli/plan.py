@@ -42,7 +42,7 @@ def plan(
     ] = None,
     order: Annotated[int, typer.Option(min=1, max=16, help="SH bands of the lights that count.")] = ORDER,
     runtime: Annotated[str, typer.Option(help="eager, compiled or onnx.")] = RUNTIMES[0],
-    window: Annotated[str, typer.Option(help="none, hann, lanczos, gauss or auto.")] = "none",
+    window: Annotated[str, typer.Option(help="none, hann, lanczos, gauss, least or auto.")] = "none",
     repair: Repair = False,
     seed: bake_options.Seed = None,
     albedo: bake_options.Albedo = None,

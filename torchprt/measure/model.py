@@ -11,9 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt import compression, sh
+from torchprt import compression
 from torchprt.errors import InputError
 from torchprt.files import temporary_folder
+from torchprt.light import windowed
 from torchprt.measure.recipe import Recipe
 from torchprt.progress import Report
 from torchprt.scene import Scene
@@ -66,16 +67,6 @@ def light_under(recipe: Recipe, light: Float[Tensor, "*B N 3"]) -> Float[Tensor,
     if light.shape[-2] < recipe.order**2:
         raise InputError(f"light has {light.shape[-2]} coefficients: order {recipe.order} has {recipe.order**2}")
     return windowed(light[..., : recipe.order**2, :], recipe.window)
-
-
-def windowed(light: Float[Tensor, "*B N 3"], name: str) -> Float[Tensor, "*B N 3"]:
-    """The light under the window of that name, one of `recipe.WINDOWS`."""
-    if name == "none":
-        return light
-    if name == "auto":
-        return sh.least_window(light)[0]
-    made = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(light, made(sh.order_of(light.shape[-2]), dtype=light.dtype))
 
 
 def frame_of(

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.measure.model import bake_recipe, windowed
+from torchprt.light import windowed
+from torchprt.measure.model import bake_recipe
 from torchprt.measure.recipe import Recipe
 from torchprt.measure.sample import receivers_of, sample_scene
 from torchprt.scene import Scene

@@ -54,8 +54,6 @@ def not_required(probe: Probe, recipe: Recipe) -> Iterator[str]:
         yield f"no bands from {recipe.order} to {probe.order - 1}: with all of them {more:.2%} is lost"
     if not probe.glossy:
         yield "no matrices and no eye: nothing is glossy"
-    if recipe.window == "none":
-        yield "no window"
 
 
 def _bounced(probe: Probe, recipe: Recipe) -> str:

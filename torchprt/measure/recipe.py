@@ -12,12 +12,12 @@ from typing import Any, ClassVar, Literal
 
 from torchprt.errors import InputError
 from torchprt.files import write
+from torchprt.light import WINDOWS
 from torchprt.scene.toml_file import read_toml
 
 Runtime = Literal["eager", "compiled", "onnx"]
 StoredType = Literal["float32", "float16", "bfloat16"]
 
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "visibility")
 TYPES = ("float32", "float16", "bfloat16")
 RUNTIMES = ("eager", "compiled", "onnx")
@@ -29,7 +29,7 @@ class Recipe:
 
     What is baked: `order`, `rays`, `bounces`, `shadows` (False: the closed form, without rays), and for glossy scenes
     `frame` with `output_order` (exit) or `visibility_order` (visibility), or `factors`, as the arguments of `bake`.
-    What of the light is used: its first `order` bands under a `window`, one of `WINDOWS`.
+    What of the light is used: its first `order` bands under a `window`, one of `light.WINDOWS`.
     How it is stored: `clusters` with `components`, `bits` and perhaps `shared` axes of clustered PCA, or `lobes`, or
     dense; in `dtype`.
     How it runs: `runtime`; `adaptive`, the threshold of adaptive shading; `dtype` "bfloat16" is also what products are
