@@ -66,8 +66,8 @@ def plan(
     scene: Scene,
     light: Float[Tensor, "*B N 3"],
     *,
-    error: float | None = None,
-    milliseconds: float | None = None,
+    error: float | int | None = None,
+    milliseconds: float | int | None = None,
     bytes: int | None = None,
     least: Least = "milliseconds",
     eyes: Float[Tensor, "E 3"] | None = None,
@@ -215,8 +215,8 @@ class _Search:
         self.nearest = min(self.nearest, bound)
         return bound <= error
 
-    def _numbers(self, recipe: Recipe) -> tuple[float, int]:
-        """What it stores, about: to choose which to time."""
+    def _numbers(self, recipe: Recipe) -> tuple[int, int]:
+        """What it stores of a receiver, in bytes about, and rays: to choose which to time."""
         channels = self.scene.requires(recipe.bounces).channels
         if recipe.frame == "visibility":
             rows, columns = 1, recipe.visibility_order or recipe.order
