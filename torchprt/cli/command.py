@@ -23,6 +23,7 @@ from torchprt.cli.info import info
 from torchprt.cli.lay import lay
 from torchprt.cli.light import light
 from torchprt.cli.patch import patch
+from torchprt.cli.plan import plan
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
 from torchprt.cli.report import answer, complain, unheard
@@ -42,6 +43,7 @@ VERBS: tuple[Callable[..., None], ...] = (
     serve,
     info,
     compress,
+    plan,
     fit,
     patch,
     lay,

@@ -1,15 +1,16 @@
-"""A few glossy receivers of a scene or of its transfer, so that a question costs seconds."""
+"""A few receivers of a scene or of its transfer, so that a question costs seconds."""
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 
 import torch
 from jaxtyping import Int, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.scene import Geometry, Material, Object, Scene, make_mesh
+from torchprt.scene import EnergyWarning, Geometry, Material, Object, Scene, make_mesh
 from torchprt.transfer import Transfer, Vertices
 
 
@@ -30,18 +31,77 @@ def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, In
     usable = torch.nonzero((face[glossy] >= 0) & (geometry.receiver_normals[glossy] != 0).any(-1))[:, 0]
     if not 1 <= count <= len(usable):
         raise InputError(f"count is {count}: the scene has {len(usable)} glossy receivers, give a number up to that")
-    order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(seed))
-    chosen = usable[order[:count]]
+    chosen = usable[_drawn(len(usable), count, seed)]
     objects: list[Object] = []
     rows = []
     for index in torch.unique(geometry.gloss_of_glossy[chosen]).tolist():
         wanted = glossy[chosen[geometry.gloss_of_glossy[chosen] == index]]
-        faces = geometry.display_faces[torch.unique(face[wanted])]
-        used, faces = torch.unique(faces, return_inverse=True)
+        used, faces = _corners_of(geometry, face[wanted])
         rows.append(torch.searchsorted(used, wanted.sort().values) + sum(len(each.mesh.positions) for each in objects))
         objects.append(_recording(geometry, used, faces, Material(0.0, gloss=geometry.gloss[index])))
-    everything = make_mesh(geometry.positions, geometry.faces, name="all surfaces")
-    return Scene([*objects, Object(everything, Material(0.0), "blocker")]), torch.cat(rows)
+    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)
+
+
+def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[Tensor, "v"], Int64[Tensor, "v"]]:
+    """A scene of the same shadows in which little more than `count` receivers record, with the materials they have.
+
+    As `sample_receivers`, but of all receivers, diffuse and glossy, fronts and reverse sides, each with its albedo and
+    its gloss; and one is drawn of each of `count` runs of them, because those that follow each other in a mesh are
+    alike. Gives the scene, the numbers of the chosen receivers in it, and those in `scene`, in the same order.
+    For shadows alone: other surfaces are black where rays hit them. Raises InputError if `count` is below 1 or there
+    are fewer receivers that have a normal and a face, and for translucent surfaces, whose sides need each other.
+    """
+    geometry = scene.geometry()
+    if bool((geometry.partner >= 0).any()):
+        raise InputError("the scene has translucent surfaces, whose sides need each other: use it whole")
+    face = torch.full((geometry.receivers,), -1)
+    face[geometry.display_faces.flatten()] = torch.arange(len(geometry.display_faces)).repeat_interleave(3)
+    usable = torch.nonzero((face >= 0) & (geometry.receiver_normals != 0).any(-1))[:, 0]
+    if not 1 <= count <= len(usable):
+        raise InputError(f"count is {count}: the scene has {len(usable)} receivers, give a number up to that")
+    runs = torch.arange(count + 1) * len(usable) // count
+    within = torch.rand(count, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    chosen = usable[runs[:-1] + (within * (runs[1:] - runs[:-1])).long()]
+    place = torch.full((geometry.receivers,), -1)
+    place[geometry.glossy] = torch.arange(len(geometry.glossy))
+    gloss = torch.full((geometry.receivers,), -1)
+    gloss[geometry.glossy] = geometry.gloss_of_glossy
+    objects: list[Object] = []
+    rows, numbers = [], []
+    for index in torch.unique(gloss[chosen]).tolist():
+        wanted = chosen[gloss[chosen] == index].sort().values
+        used, faces = _corners_of(geometry, face[wanted])
+        material = Material(geometry.albedo[used])
+        if index >= 0:
+            # Corners of the same faces without this gloss record nothing that is asked for.
+            weight = torch.where((gloss[used] == index)[:, None], geometry.specular[place[used]], 0.0)
+            body = torch.where((gloss[used] == index)[:, None], geometry.albedo[used], 0.0)
+            with warnings.catch_warnings():
+                # It was told when the scene was made.
+                warnings.simplefilter("ignore", EnergyWarning)
+                material = Material(body, gloss=geometry.gloss[index], specular=weight)
+        rows.append(torch.searchsorted(used, wanted) + sum(len(each.mesh.positions) for each in objects))
+        numbers.append(wanted)
+        objects.append(_recording(geometry, used, faces, material))
+    among = torch.cat(numbers)
+    ascending = among.argsort()
+    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)[ascending], among[ascending]
+
+
+def receivers_of(transfer: Transfer, chosen: Int64[Tensor, "v"]) -> Transfer:
+    """The transfer of those of its receivers alone that `chosen` numbers, each once, in that order, without faces."""
+    place = torch.full((transfer.vertices,), -1)
+    place[chosen] = torch.arange(len(chosen))
+    layers = {}
+    for name, layer in transfer.layers.items():
+        places = place[layer.index(transfer.vertices).long()]
+        kept = torch.nonzero(places >= 0)[:, 0]
+        kept = kept[places[kept].argsort()]
+        layers[name] = layer.take(kept, places[kept])
+    vertices = Vertices(
+        positions=transfer.positions[chosen], normals=transfer.normals[chosen], faces=transfer.faces[:0]
+    )
+    return dataclasses.replace(transfer, receivers=vertices, layers=layers)
 
 
 def sample_transfer(transfer: Transfer, chosen: Int[Tensor, "g"]) -> Transfer:
@@ -69,6 +129,20 @@ def check_chosen(chosen: Tensor, count: int) -> None:
         raise InputError(f"chosen names the glossy receiver {int(outside[0])}: there are {count}, numbered from 0")
 
 
+def _drawn(among: int, count: int, seed: int) -> Int64[Tensor, "count"]:
+    return torch.randperm(among, generator=torch.Generator().manual_seed(seed))[:count]
+
+
+def _corners_of(geometry: Geometry, faces: Tensor) -> tuple[Int64[Tensor, "v"], Int64[Tensor, "F 3"]]:
+    """The receivers at the corners of these faces, ascending, and the faces over them."""
+    used, corners = torch.unique(geometry.display_faces[torch.unique(faces)], return_inverse=True)
+    return used, corners
+
+
+def _blocking(geometry: Geometry) -> Object:
+    return Object(make_mesh(geometry.positions, geometry.faces, name="all surfaces"), Material(0.0), "blocker")
+
+
 def _recording(geometry: Geometry, used: Tensor, faces: Tensor, material: Material) -> Object:
     tangents = torch.zeros_like(geometry.receiver_normals)
     tangents[geometry.glossy] = geometry.tangents
@@ -79,4 +153,6 @@ def _recording(geometry: Geometry, used: Tensor, faces: Tensor, material: Materi
         tangents=tangents[used],
         name="receivers",
     )
-    return Object(mesh, material)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EnergyWarning)
+        return Object(mesh, material)
