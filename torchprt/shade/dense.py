@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
@@ -51,6 +52,17 @@ class DenseSignal(SignalModule):
 
     def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         return self.values if values is None else matrix_vectors(self.values, values)
+
+    def applied_in_pieces(self, columns: Float[Tensor, "N K"], size: int) -> Iterator[Float[Tensor, "g K"]]:
+        for piece in self.toward(None)[0].split(size, 1):
+            yield piece.mT @ columns
+
+    def part(self, first: int, last: int, receivers: Tensor | None = None) -> DenseSignal:
+        columns = slice(first * first, last * last)
+        values = self.values[:, columns] if self.values.ndim == 3 else self.values[..., columns]
+        if receivers is not None:
+            values = values.index_select(2 if values.ndim == 3 else 1, receivers)
+        return DenseSignal.holding(values)
 
 
 def matrix_vectors(matrix: Float[Tensor, "C G M N"], values: Float[Tensor, "*B G M"]) -> Float[Tensor, "C N ..."]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,7 +13,8 @@ from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphe
 from torchprt.shade.batches import light_product
 from torchprt.shade.eye_layer import EyeLayerModule
 from torchprt.shade.layer import layer_module
-from torchprt.shade.signal import Making, hold
+from torchprt.shade.product_levels import PIECE, ProductLevels, Rule
+from torchprt.shade.signal import Making, SignalModule, hold
 from torchprt.transfer import Visibility
 
 
@@ -35,6 +39,7 @@ class VisibilityLayer(EyeLayerModule):
         hold(self, "kernel", layer.kernel, making)
         self.exit_order = layer.output_order
         self.projection = layer.projection
+        self.degree = layer.degree
         self.turn = Rotation(layer.order, making.dtype).to(layer.kernel.device)
         nodes, _ = gauss_legendre_hemisphere(layer.degree)
         tables = {"functions": hemisphere_basis(nodes, layer.visibility_order), "harmonics": basis(nodes, layer.order)}
@@ -51,9 +56,27 @@ class VisibilityLayer(EyeLayerModule):
 
     def vectors(self, values: Float[Tensor, "*B G M"]) -> Float[Tensor, "*B N G"]:
         """Transfer vectors toward eyes, the eyes first."""
-        local = ((values @ self.kernel) * self.seen()) @ self.harmonics
-        world = self._turned(local.unsqueeze(-1), self.frames.permute(2, 1, 0))
-        return world.movedim(-1, 0).mT[0]
+        return torch.cat(list(self.in_pieces(values, self.signal, self.frames, self.rule())), -1)
+
+    def rule(self) -> Rule:
+        """Where all of its visibility meets all of the light."""
+        return Rule(self.kernel, self.functions, self.harmonics)
+
+    def in_pieces(
+        self, values: Float[Tensor, "*B g M"], signal: SignalModule, frames: Float[Tensor, "3 3 g"], rule: Rule
+    ) -> Iterator[Float[Tensor, "*B N p"]]:
+        """Transfer vectors of some receivers, some of them after the other, so that what lies between is in the cache.
+
+        `values`, `signal` and `frames` of those receivers. A graph that is traced takes all at once.
+        """
+        count = values.shape[-2]
+        size = PIECE // max(math.prod(values.shape[:-2]), 1)
+        size = max(count, 1) if torch.compiler.is_compiling() else max(size, PIECE // 16)
+        turned = frames.permute(2, 1, 0)
+        seen = signal.applied_in_pieces(rule.functions.mT, size)
+        for some, of_some, turn in zip(values.split(size, -2), seen, turned.split(size), strict=True):
+            local = ((some @ rule.kernel) * of_some) @ rule.harmonics
+            yield self._turned(local.unsqueeze(-1), turn)[..., 0].mT
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
@@ -63,7 +86,14 @@ class VisibilityLayer(EyeLayerModule):
     def sent(
         self, light: Tensor, values: Tensor | None, frames: Tensor | None, out: Tensor | None
     ) -> Float[Tensor, "... 3 G"]:
-        return light_product(light, self.toward(values), out=out)
+        if out is not None or torch.compiler.is_compiling():
+            return light_product(light, self.toward(values), out=out)
+        assert values is not None
+        vectors = self.in_pieces(values, self.signal, self.frames, self.rule())
+        return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+
+    def levels(self, orders: Sequence[int]) -> ProductLevels:
+        return ProductLevels(self, orders)
 
     def seen(self) -> Float[Tensor, "G D"]:
         """Visibility at the nodes."""

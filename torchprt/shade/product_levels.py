@@ -1,0 +1,93 @@
+"""Visibility times light at some order, at the nodes of a rule that is no larger than that order needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.sh import basis, gauss_legendre_hemisphere, hemisphere_basis
+from torchprt.shade.batches import light_product
+from torchprt.shade.levels import Levels
+
+if TYPE_CHECKING:
+    from torchprt.shade.visibility import VisibilityLayer
+
+# Receivers whose products are in the cache at a time: half the time of all at once at order 11.
+PIECE = 512
+
+
+class Rule(NamedTuple):
+    """Where visibility of I functions meets light of N coefficients and a kernel of M rows, at D nodes."""
+
+    kernel: Float[Tensor, "M D"]
+    functions: Float[Tensor, "D I"]
+    harmonics: Float[Tensor, "D N"]
+
+
+class ProductLevels(Levels):
+    """Of visibility: both it and the light are truncated to the order of a level, and the kernel stays as it is.
+
+    The product of two such functions is a polynomial of the hemisphere of a low degree, so that a rule of few nodes
+    does, to which the kernel is carried over: `kernel_n = kernel B B_n^T w_n`, B and B_n the orthonormal functions of
+    that degree at the nodes of the layer and of the small rule, w_n its weights. That is exact. At order 11 a receiver
+    takes 193 000 multiplications (M = 64), at order 7 a quarter of it, at order 3 a fiftieth.
+    Source: Sloan, Kautz and Snyder 2002, section 4.2; for levels of products the paper on locally adaptive products,
+    section 4.3, which extends one product of global coefficients instead.
+    """
+
+    layer: VisibilityLayer
+
+    def __init__(self, layer: VisibilityLayer, orders: Sequence[int]):
+        super().__init__(layer, orders)
+        nodes = layer.functions.shape[0]
+        self.carried: list[tuple[Tensor, Tensor, Tensor] | None] = []
+        for order in self.orders:
+            seen = min(order, math.isqrt(layer.functions.shape[1]))
+            degree = seen + order - 2
+            small, weights = gauss_legendre_hemisphere(2 * degree)
+            if len(small) >= nodes:
+                self.carried.append(None)
+                continue
+            whole, _ = gauss_legendre_hemisphere(layer.degree)
+            onto = hemisphere_basis(whole, degree + 1) @ (hemisphere_basis(small, degree + 1) * weights[:, None]).mT
+            tables = (onto, hemisphere_basis(small, seen), basis(small, order))
+            self.carried.append(tuple(table.to(layer.functions).contiguous() for table in tables))  # type: ignore[arg-type]
+
+    def rule(self, level: int) -> Rule:
+        order, carried, layer = self.orders[level], self.carried[level], self.layer
+        if carried is None:
+            seen = min(order * order, layer.functions.shape[1])
+            return Rule(layer.kernel, layer.functions[:, :seen], layer.harmonics[:, : order * order])
+        onto, functions, harmonics = carried
+        return Rule(layer.kernel @ onto, functions, harmonics)
+
+    def at(
+        self,
+        level: int,
+        light: Tensor,
+        values: Tensor | None,
+        frames: Tensor | None,
+        receivers: Tensor | None,
+        below: tuple[int, Tensor] | None,
+    ) -> Float[Tensor, "... 3 g"]:
+        assert values is not None
+        rule, layer, order = self.rule(level), self.layer, self.orders[level]
+        signal = layer.signal.part(0, math.isqrt(rule.functions.shape[1]), receivers)
+        turned = layer.frames
+        if receivers is not None:
+            values, turned = values.index_select(-2, receivers), turned.index_select(-1, receivers)
+        vectors = layer.in_pieces(values, signal, turned, rule)
+        few = light[..., : order * order, :]
+        return torch.cat([light_product(few, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+
+    def multiplications(self, level: int, below: int | None) -> int:
+        rule = self.rule(level)
+        rows, nodes = rule.kernel.shape
+        return nodes * (rows + rule.functions.shape[1] + rule.harmonics.shape[1]) + 3 * rule.harmonics.shape[1]
+
+
