@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -18,7 +17,7 @@ from torchprt.shade.regions import Gate, Neighbours
 from torchprt.shade.shader import Shader, turned_light
 from torchprt.shade.white import white
 
-Against = Literal["last", "base"]
+AGAINST = ("last", "base")
 
 
 @dataclass(frozen=True)
@@ -71,21 +70,26 @@ class AdaptiveShader(nn.Module):
     Dynamic: which receivers are evaluated depends on values, so the module cannot be compiled or exported as a graph;
     `fixed_orders` can.
 
+    `shader` is a submodule, whose parameters and buffers are the only ones. `adaptive`: by name the layers that are
+    shaded adaptively.
+
     Raises InputError if a threshold is negative or NaN, `levels` do not rise to the order of the shader, `hysteresis`
     or `blend` is outside [0, 1], `rings` is negative, faces are of another mesh, or a layer cannot be taken apart.
     Source: the paper on locally adaptive products of spherical harmonics (WSCG 2013), sections 4.1 to 4.4. New here
     are `against` "last", hysteresis and blend, and rules of quadrature that grow with the order.
     """
 
+    faces: Tensor | None
+
     def __init__(
         self,
         shader: Shader,
-        faces: Int[Tensor, "F 3"] | None = None,
+        faces: Tensor | None = None,
         *,
         diffuse: float | int | None = 0.01,
         specular: float | int | None = 0.02,
         levels: Sequence[int] | None = None,
-        against: Against = "last",
+        against: str = "last",
         hysteresis: float | int = 0.5,
         blend: float | int = 0.25,
         rings: int = 2,
@@ -98,23 +102,38 @@ class AdaptiveShader(nn.Module):
         for name, part in (("hysteresis", hysteresis), ("blend", blend)):
             if not 0 <= part <= 1:
                 raise InputError(f"{name} is {part}: give a number from 0 to 1")
-        if against not in get_args(Against):
+        if against not in AGAINST:
             raise InputError(f"against '{against}' is unknown: use 'last' or 'base'")
         if rings < 0:
             raise InputError(f"rings is {rings}: give zero or more")
         self.shader, self.needs, self.order = shader, shader.needs, shader.order
-        base = min(3, shader.order)
-        orders = check_orders(default_orders(shader.order, base) if levels is None else levels, shader.order)
-        self.adaptive: dict[str, AdaptiveLayer] = {}
-        for name, layer in shader.layers.items():
-            threshold = specular if "eye" in layer.needs else diffuse
+        self.orders = check_orders(default_orders(shader.order) if levels is None else levels, shader.order)
+        self.thresholds = {"diffuse": diffuse, "specular": specular}
+        self.against, self.hysteresis, self.blend = against, float(hysteresis), float(blend)
+        self.rings, self.grow = rings, grow
+        self.register_buffer("faces", None if faces is None else faces.detach(), persistent=False)
+        self.adaptive = self._made()
+
+    def _made(self) -> dict[str, AdaptiveLayer]:
+        """The layers that are shaded adaptively, with tables on the device and in the dtype of the shader."""
+        made: dict[str, AdaptiveLayer] = {}
+        for name, layer in self.shader.layers.items():
+            threshold = self.thresholds["specular" if "eye" in layer.needs else "diffuse"]
             if threshold is None:
                 continue
-            gate = Gate(float(threshold), float(threshold) * hysteresis, float(blend))
-            found = None
-            if faces is not None and len(faces) and not math.isinf(threshold):
-                found = Neighbours(faces.to(layer.weight.device), shader.vertices, layer.receivers)
-            self.adaptive[name] = AdaptiveLayer(layer, orders, gate, found, against=against, rings=rings, grow=grow)
+            gate = Gate(float(threshold), float(threshold) * self.hysteresis, self.blend)
+            beside = None
+            if self.faces is not None and len(self.faces):
+                beside = Neighbours(self.faces.to(layer.weight.device), self.shader.vertices, layer.receivers)
+            made[name] = AdaptiveLayer(
+                layer, self.orders, gate, beside, against=self.against, rings=self.rings, grow=self.grow
+            )
+        return made
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> AdaptiveShader:
+        super()._apply(fn, recurse)
+        self.adaptive = self._made()
+        return self
 
     def forward(
         self,
@@ -155,7 +174,7 @@ class AdaptiveShader(nn.Module):
         return Adapted(radiance.mT.to(wanted), Regions(made))
 
 
-def adaptive(shader: Shader, faces: Int[Tensor, "F 3"] | None = None, **options: object) -> AdaptiveShader:
+def adaptive(shader: Shader, faces: Tensor | None = None, **options: object) -> AdaptiveShader:
     """`AdaptiveShader`, as it is made of a shader; see there."""
     return AdaptiveShader(shader, faces, **options)  # type: ignore[arg-type]
 

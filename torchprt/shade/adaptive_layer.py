@@ -28,8 +28,8 @@ class AdaptiveLayer:
 
     All receivers are shaded at the first two orders. Those for which the second made a difference, and those around
     them for which the next one does, go on to the third, and so on. Differences are those of displayed radiance, the
-    largest of the channels: of the order below (`against` "last"), or of the first order ("base", as in the paper,
-    where a receiver goes on to the end although it has long settled).
+    largest of the channels: from what is shown of the orders below (`against` "last"), or from the first order ("base",
+    as in the paper, where a receiver goes on to the end although it has long settled).
 
     `rings`: how many rings around the region get the mean difference of their neighbours. `grow`: whether a level grows
     into what surrounds it. Both need `neighbours`.
@@ -80,50 +80,52 @@ class AdaptiveLayer:
         second = self.levels.at(1, light, values, frames, None, (0, first))
         reached.fill_(self.orders[1])
         threshold = white.unsqueeze(-1)
+        # What is shown, what the highest order that was evaluated gives, and what that changed.
         total, radiance, difference = second, second, self._difference(second, first, None)
         weights: list[Tensor] = []
-        within: Tensor | None = None
         for level in range(2, len(self.orders)):
             last = None if before is None else before.weights[level - 2]
             weight = self.gate(difference, threshold, last)
-            weight = weight if within is None else weight * within
+            weight = weight * weights[-1] if weights else weight
             chosen = _any(weight > 0).nonzero()[:, 0]
             if not len(chosen):
                 weights += [torch.zeros_like(weight)] * (len(self.orders) - level)
                 break
-            below = radiance[..., chosen]
-            found = self.levels.at(level, light, values, frames, chosen, (level - 1, below))
-            beside = below if self.against == "last" else first[..., chosen]
-            difference = torch.zeros_like(weight).index_copy(-1, chosen, self._difference(found, beside, chosen))
-            radiance = radiance.index_copy(-1, chosen, found)
-            reached[chosen] = self.orders[level]
+            shown = total if self.against == "last" else first
+
+            def evaluated(some: Tensor, below: tuple[int, Tensor], level: int = level, shown: Tensor = shown) -> None:
+                nonlocal radiance, difference
+                found = self.levels.at(level, light, values, frames, some, below)
+                radiance = radiance.index_copy(-1, some, found)
+                difference = difference.index_copy(-1, some, self._difference(found, shown[..., some], some))
+                reached[some] = self.orders[level]
+
+            difference = torch.zeros_like(weight)
+            evaluated(chosen, (level - 1, radiance[..., chosen]))
             if self.grow and self.neighbours is not None:
-                outside = torch.ones(len(reached), dtype=torch.bool, device=reached.device)
-                outside[chosen] = False
+                unseen = torch.ones(len(reached), dtype=torch.bool, device=reached.device)
+                unseen[chosen] = False
                 changing = weight * self.gate(difference, threshold, None)
                 edge = chosen[_any(changing > 0)[chosen]]
-                while len(edge := self.neighbours.around(edge, outside)):
-                    outside[edge] = False
-                    found = self.levels.at(level, light, values, frames, edge, (1, second[..., edge]))
-                    beside = radiance[..., edge] if self.against == "last" else first[..., edge]
-                    made = self._difference(found, beside, edge)
+                # Until nothing gains: the product of the steps along the best way from where the level began.
+                while len(edge := self.neighbours.around(edge, _any(weight < 1))):
+                    new = edge[unseen[edge]]
+                    if len(new):
+                        unseen[new] = False
+                        evaluated(new, (1, second[..., new]))
+                    made = difference[..., edge]
                     strength = self.gate(made, threshold, None if last is None else last[..., edge])
-                    strength = strength * self.neighbours.largest(changing, edge)
-                    going_on = strength * self.gate(made, threshold, None)
-                    weight, changing = (
-                        whole.index_copy(-1, edge, part)
-                        for whole, part in ((weight, strength), (changing, going_on))
-                    )
-                    difference = difference.index_copy(-1, edge, made)
-                    radiance = radiance.index_copy(-1, edge, found)
-                    reached[edge] = self.orders[level]
-                    edge = edge[_any(going_on > 0)]
+                    strength = torch.maximum(weight[..., edge], strength * self.neighbours.largest(changing, edge))
+                    gained = strength > weight[..., edge]
+                    weight = weight.index_copy(-1, edge, strength)
+                    changing = changing.index_copy(-1, edge, strength * self.gate(made, threshold, None))
+                    edge = edge[_any(gained & (changing[..., edge] > 0))]
             total = torch.lerp(total, radiance, weight.unsqueeze(-2))
             weights.append(weight)
-            within = weight
         region = Region(tuple(each.detach() for each in weights), reached)
         if self.rings and weights and self.neighbours is not None:
-            total = second + self._surrounded(total - second, weights[0] > 0)
+            within = torch.stack(weights).amax(0)
+            total = second + self._surrounded(total - second, within)
         return total * self.layer.weight.T, region
 
     def _difference(self, one: Tensor, other: Tensor, receivers: Tensor | None) -> Float[Tensor, "*B g"]:
@@ -132,24 +134,20 @@ class AdaptiveLayer:
             weight = weight[receivers]
         return ((one - other) * weight.T).abs().amax(-2)
 
-    def _surrounded(self, added: Float[Tensor, "*B 3 G"], inside: Tensor) -> Float[Tensor, "*B 3 G"]:
-        """What the region `inside`, of each light, adds, with rings around it of what its neighbours add."""
+    def _surrounded(self, added: Float[Tensor, "*B 3 G"], within: Float[Tensor, "*B G"]) -> Float[Tensor, "*B 3 G"]:
+        """What a region adds, by how much of it receivers are `within`, with rings around it of what neighbours add."""
         assert self.neighbours is not None
+        own, free, some = added, (1 - within).unsqueeze(-2), _any(within > 0)
         for _ in range(self.rings):
-            edge = self.neighbours.around(_any(inside).nonzero()[:, 0], ~_all(inside))
+            some = some | self.neighbours.beside(some)
+            edge = (some & _any(within < 1)).nonzero()[:, 0]
             if not len(edge):
                 break
-            new = (self.neighbours.largest(inside.to(added.dtype), edge) > 0) & ~inside[..., edge]
-            spread = self.neighbours.mean(added, edge) * new.unsqueeze(-2)
-            added = added.index_add(-1, edge, spread)
-            inside = inside.index_copy(-1, edge, inside[..., edge] | new)
+            spread = self.neighbours.mean(added, edge) * free[..., edge]
+            added = own.index_add(-1, edge, spread)
         return added
 
 
 def _any(inside: Tensor) -> Tensor:
     """Of `[*B, G]` whether any light says so, `[G]`."""
-    return inside.reshape(-1, inside.shape[-1]).any(0)
-
-
-def _all(inside: Tensor) -> Tensor:
-    return inside.reshape(-1, inside.shape[-1]).all(0)
+    return inside if inside.ndim == 1 else inside.flatten(0, -2).any(0)

@@ -62,7 +62,11 @@ class DenseSignal(SignalModule):
         values = self.values[:, columns] if self.values.ndim == 3 else self.values[..., columns]
         if receivers is not None:
             values = values.index_select(2 if values.ndim == 3 else 1, receivers)
-        return DenseSignal.holding(values)
+        made = DenseSignal.__new__(DenseSignal)
+        count = values.shape[2] if values.ndim == 3 else values.shape[1]
+        SignalModule.__init__(made, (count, *self.shape[1:3], last * last - first * first))
+        made.register_buffer("values", values)
+        return made
 
 
 def matrix_vectors(matrix: Float[Tensor, "C G M N"], values: Float[Tensor, "*B G M"]) -> Float[Tensor, "C N ..."]:

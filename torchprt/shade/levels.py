@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import abc
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -85,19 +85,17 @@ class LinearLevels(Levels):
         return columns * (3 if rows == 1 else channels * rows + 3)
 
 
-def default_orders(order: int, base: int) -> tuple[int, ...]:
-    """`base`, every second order above it, and `order`."""
-    return tuple(range(base, order, 2)) + (order,)
+def default_orders(order: int) -> tuple[int, ...]:
+    """3, every second order above it, and `order`."""
+    return (*range(min(3, order), order, 2), order)
 
 
 def check_orders(orders: Sequence[int], order: int) -> tuple[int, ...]:
     """InputError unless `orders` rise from 1 or more to `order`."""
     whole = [int(each) for each in orders]
-    rising = all(low < high for low, high in zip(whole, whole[1:], strict=False))
+    rising = all(low < high for low, high in itertools.pairwise(whole))
     if not whole or whole != list(orders) or whole[0] < 1 or whole[-1] != order or not rising:
         raise InputError(
             f"levels are {list(orders)}: they must rise from an order of 1 or more to {order}, the shader's"
         )
     return tuple(whole)
-
-

@@ -1,4 +1,4 @@
-"""Regions of a mesh: who neighbours whom, what surrounds a set of receivers, and how regions last from light to light."""
+"""Regions of a mesh: who neighbours whom, and how much of a level a receiver gets, from light to light."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Neighbours:
     Raises InputError if faces are not triangles of those vertices.
     """
 
-    def __init__(self, faces: Int[Tensor, "F 3"], count: int, among: Tensor | None = None):
+    def __init__(self, faces: Tensor, count: int, among: Tensor | None = None):
         if faces.ndim != 2 or faces.shape[1] != 3:
             raise InputError(f"faces have shape {list(faces.shape)}: give triangles, [F, 3]")
         if faces.numel() and (int(faces.min()) < 0 or int(faces.max()) >= count):
@@ -48,17 +48,23 @@ class Neighbours:
         place = torch.arange(total, device=receivers.device) + skipped[owner]
         return self.other[place], owner
 
-    def around(self, receivers: Int[Tensor, "g"], outside: Bool[Tensor, "G"]) -> Int[Tensor, "h"]:
-        """The neighbours of `receivers` that are `outside`, each once, ascending."""
-        found = torch.zeros_like(outside)
+    def beside(self, inside: Bool[Tensor, "G"]) -> Bool[Tensor, "G"]:
+        """Which receivers have a neighbour that is `inside`."""
+        found = torch.zeros_like(inside)
+        found[self.of(inside.nonzero()[:, 0])[0]] = True
+        return found
+
+    def around(self, receivers: Int[Tensor, "g"], among: Bool[Tensor, "G"]) -> Int[Tensor, "h"]:
+        """Those neighbours of `receivers` that are `among` others, each once, ascending."""
+        found = torch.zeros_like(among)
         found[self.of(receivers)[0]] = True
-        return (found & outside).nonzero()[:, 0]
+        return (found & among).nonzero()[:, 0]
 
     def mean(self, values: Float[Tensor, "*B G"], receivers: Int[Tensor, "g"]) -> Float[Tensor, "*B g"]:
-        """For each of `receivers` the mean of `values` over its neighbours; it has some."""
+        """For each of `receivers` the mean of `values` over its neighbours; 0 without any."""
         other, owner = self.of(receivers)
         total = values.new_zeros(*values.shape[:-1], len(receivers)).index_add(-1, owner, values[..., other])
-        return total / self.degree[receivers]
+        return total / self.degree[receivers].clamp(min=1)
 
     def largest(self, values: Float[Tensor, "*B G"], receivers: Int[Tensor, "g"]) -> Float[Tensor, "*B g"]:
         """For each of `receivers` the largest of `values` of its neighbours, which are zero or more; 0 without any."""

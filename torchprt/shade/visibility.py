@@ -10,6 +10,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphere, hemisphere_basis, rotate
+from torchprt.sh.basis import only_values_are_wanted
+from torchprt.sh.euler import turn_by_euler
+from torchprt.sh.precision import without_autocast
 from torchprt.shade.batches import light_product
 from torchprt.shade.eye_layer import EyeLayerModule
 from torchprt.shade.layer import layer_module
@@ -70,8 +73,8 @@ class VisibilityLayer(EyeLayerModule):
         `values`, `signal` and `frames` of those receivers. A graph that is traced takes all at once.
         """
         count = values.shape[-2]
-        size = PIECE // max(math.prod(values.shape[:-2]), 1)
-        size = max(count, 1) if torch.compiler.is_compiling() else max(size, PIECE // 16)
+        size = max(PIECE // (max(math.prod(values.shape[:-2]), 1) * len(rule.functions)), 64)
+        size = max(count, 1) if torch.compiler.is_compiling() else size
         turned = frames.permute(2, 1, 0)
         seen = signal.applied_in_pieces(rule.functions.mT, size)
         for some, of_some, turn in zip(values.split(size, -2), seen, turned.split(size), strict=True):
@@ -100,4 +103,9 @@ class VisibilityLayer(EyeLayerModule):
         return self.signal.applied(self.functions.mT)
 
     def _turned(self, light: Tensor, rotation: Tensor) -> Tensor:
-        return self.turn(light, rotation) if torch.compiler.is_compiling() else rotate(light, rotation)
+        if torch.compiler.is_compiling():
+            return self.turn(light, rotation)
+        if only_values_are_wanted(light, rotation):
+            # Half of the time of `rotate` is its check, and these frames were checked when the layer was made.
+            return without_autocast(turn_by_euler)(light.to(rotation.dtype), rotation).to(light.dtype)
+        return rotate(light, rotation)

@@ -12,6 +12,7 @@ from torchprt.sh import basis, clamped_cosine, convolve, latlong_directions, ord
 from torchprt.sh.constant import remembered
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of linear Rec. 709."""
 # Rows of the directions among which the brightest is looked for.
 _METER = 24
 # Irradiance has next to nothing above.
@@ -26,7 +27,8 @@ def white(light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B"]:
     """
     order = min(order_of(light.shape[-2]), _ORDER)
     radiance = light[..., : order**2, :] @ light.new_tensor(LUMINANCE)
-    return (radiance @ _facing(light.device, order, light.dtype)).amax(-1).clamp(min=0)
+    facing = _facing(light.device, order, light.dtype)
+    return (radiance @ facing).amax(-1).clamp(min=0)
 
 
 @remembered(8)
