@@ -34,6 +34,6 @@ def _nodes(degree: int) -> tuple[Tensor, Tensor]:
     nodes, weights = gauss_legendre_hemisphere(2 * degree)
     # Columns are orthonormal under the rule.
     table = hemisphere_basis(nodes, degree + 1) * weights.sqrt()[:, None]
-    _, _, order = scipy.linalg.qr(table.mT.numpy(), mode="economic", pivoting=True)
+    _, order = scipy.linalg.qr(table.mT.numpy(), mode="r", pivoting=True, check_finite=False)
     chosen = torch.from_numpy(order[: table.shape[1]].copy()).long().sort().values
     return nodes[chosen], torch.linalg.inv(hemisphere_basis(nodes[chosen], degree + 1))

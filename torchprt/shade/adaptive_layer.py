@@ -10,8 +10,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchprt.shade.batches import receivers_of
 from torchprt.shade.layer import LayerModule
 from torchprt.shade.regions import Gate, Neighbours
+
+# A region stops growing where fewer receivers than this part of all gained more than this part of a level: what
+# remains is not seen, and a round costs the same for few as for many.
+FEWEST, LEAST = 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
@@ -97,29 +102,30 @@ class AdaptiveLayer:
                 nonlocal radiance, difference
                 found = self.levels.at(level, light, values, frames, some, below)
                 radiance = radiance.index_copy(-1, some, found)
-                difference = difference.index_copy(-1, some, self._difference(found, shown[..., some], some))
+                difference = difference.index_copy(-1, some, self._difference(found, receivers_of(shown, some), some))
                 reached[some] = self.orders[level]
 
             difference = torch.zeros_like(weight)
-            evaluated(chosen, (level - 1, radiance[..., chosen]))
+            evaluated(chosen, (level - 1, receivers_of(radiance, chosen)))
             if self.grow and self.neighbours is not None:
                 unseen = torch.ones(len(reached), dtype=torch.bool, device=reached.device)
                 unseen[chosen] = False
                 changing = weight * self.gate(difference, threshold, None)
                 edge = chosen[_any(changing > 0)[chosen]]
-                # Until nothing gains: the product of the steps along the best way from where the level began.
-                while len(edge := self.neighbours.around(edge, _any(weight < 1))):
+                # Until little gains: the product of the steps along the best way from where the level began.
+                while len(edge) > FEWEST * len(reached):
+                    edge = self.neighbours.around(edge, _any(weight < 1))
                     new = edge[unseen[edge]]
                     if len(new):
                         unseen[new] = False
-                        evaluated(new, (1, second[..., new]))
-                    made = difference[..., edge]
-                    strength = self.gate(made, threshold, None if last is None else last[..., edge])
-                    strength = torch.maximum(weight[..., edge], strength * self.neighbours.largest(changing, edge))
-                    gained = strength > weight[..., edge]
+                        evaluated(new, (1, receivers_of(second, new)))
+                    made, held = receivers_of(difference, edge), receivers_of(weight, edge)
+                    strength = self.gate(made, threshold, None if last is None else receivers_of(last, edge))
+                    strength = torch.maximum(held, strength * self.neighbours.largest(changing, edge))
+                    going_on = strength * self.gate(made, threshold, None)
                     weight = weight.index_copy(-1, edge, strength)
-                    changing = changing.index_copy(-1, edge, strength * self.gate(made, threshold, None))
-                    edge = edge[_any(gained & (changing[..., edge] > 0))]
+                    changing = changing.index_copy(-1, edge, going_on)
+                    edge = edge[_any((strength - held > LEAST) & (going_on > LEAST))]
             total = torch.lerp(total, radiance, weight.unsqueeze(-2))
             weights.append(weight)
         region = Region(tuple(each.detach() for each in weights), reached)

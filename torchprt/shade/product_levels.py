@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -11,14 +11,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.sh import basis, gauss_legendre_hemisphere, hemisphere_basis, hemisphere_nodes
-from torchprt.shade.batches import light_product
+from torchprt.sh.turned_product import euler_turns
+from torchprt.shade.batches import receivers_of
 from torchprt.shade.levels import Levels
+from torchprt.shade.signal import SignalModule
 
 if TYPE_CHECKING:
     from torchprt.shade.visibility import VisibilityLayer
 
 # Nodes of receivers whose products are in the cache at a time: half the time of all at once at order 11.
-PIECE = 1 << 19
+PIECE = 1 << 18
 
 
 class Rule(NamedTuple):
@@ -27,6 +29,20 @@ class Rule(NamedTuple):
     kernel: Float[Tensor, "M D"]
     functions: Float[Tensor, "D I"]
     harmonics: Float[Tensor, "D N"]
+
+
+def local_products(
+    values: Float[Tensor, "*B M g"], signal: SignalModule, rule: Rule
+) -> Iterator[Float[Tensor, "*B N p"]]:
+    """Transfer vectors in the local frames of some receivers, piece after piece, so that what lies between stays in the
+    cache. A graph that is traced takes all at once."""
+    count = values.shape[-1]
+    size = max(PIECE // (max(math.prod(values.shape[:-2]), 1) * len(rule.functions)), 64)
+    size = max(count, 1) if torch.compiler.is_compiling() else size
+    kernel, harmonics = rule.kernel.mT, rule.harmonics.mT
+    seen = signal.applied_in_pieces(rule.functions, size)
+    for some, visible in zip(values.split(size, -1), seen, strict=True):
+        yield harmonics @ ((kernel @ some) * visible)
 
 
 class ProductLevels(Levels):
@@ -45,6 +61,8 @@ class ProductLevels(Levels):
 
     def __init__(self, layer: VisibilityLayer, orders: Sequence[int]):
         super().__init__(layer, orders)
+        with torch.no_grad():
+            self.turns = euler_turns(layer.frames.transpose(0, 1))
         nodes = layer.functions.shape[0]
         self.carried: list[tuple[Tensor, Tensor, Tensor] | None] = []
         for order in self.orders:
@@ -79,12 +97,11 @@ class ProductLevels(Levels):
         assert values is not None
         rule, layer, order = self.rule(level), self.layer, self.orders[level]
         signal = layer.signal.part(0, math.isqrt(rule.functions.shape[1]), receivers)
-        turned = layer.frames
+        turned, turns = layer.frames, self.turns
         if receivers is not None:
-            values, turned = values.index_select(-2, receivers), turned.index_select(-1, receivers)
-        vectors = layer.in_pieces(values, signal, turned, rule)
-        few = light[..., : order * order, :]
-        return torch.cat([light_product(few, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+            values = receivers_of(values.mT, receivers).mT
+            turned, turns = receivers_of(turned, receivers), receivers_of(turns, receivers)
+        return layer.products(light[..., : order * order, :], values, signal, turned, turns, rule)
 
     def multiplications(self, level: int, below: int | None) -> int:
         rule = self.rule(level)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.shade.batches import receivers_of
 
 
 class Neighbours:
@@ -63,7 +64,7 @@ class Neighbours:
     def mean(self, values: Float[Tensor, "*B G"], receivers: Int[Tensor, "g"]) -> Float[Tensor, "*B g"]:
         """For each of `receivers` the mean of `values` over its neighbours; 0 without any."""
         other, owner = self.of(receivers)
-        total = values.new_zeros(*values.shape[:-1], len(receivers)).index_add(-1, owner, values[..., other])
+        total = values.new_zeros(*values.shape[:-1], len(receivers)).index_add(-1, owner, receivers_of(values, other))
         return total / self.degree[receivers].clamp(min=1)
 
     def largest(self, values: Float[Tensor, "*B G"], receivers: Int[Tensor, "g"]) -> Float[Tensor, "*B g"]:
@@ -71,7 +72,7 @@ class Neighbours:
         other, owner = self.of(receivers)
         at = owner.expand(*values.shape[:-1], len(other))
         below = values.new_zeros(*values.shape[:-1], len(receivers))
-        return below.scatter_reduce(-1, at, values[..., other], "amax")
+        return below.scatter_reduce(-1, at, receivers_of(values, other), "amax")
 
 
 @dataclass(frozen=True)

@@ -64,9 +64,9 @@ class SignalModule(KeepsSingle, abc.ABC):
         """`vectors @ columns` of vectors with one channel."""
         return self.toward(None)[0].mT @ columns
 
-    def applied_in_pieces(self, columns: Float[Tensor, "N K"], size: int) -> Iterator[Float[Tensor, "g K"]]:
-        """`applied`, `size` receivers at a time, one piece after the other."""
-        yield from self.applied(columns).split(size)
+    def applied_in_pieces(self, rows: Float[Tensor, "K N"], size: int) -> Iterator[Float[Tensor, "K g"]]:
+        """`rows @ vectors`, as `applied` but receivers last, `size` of them at a time, one piece after the other."""
+        yield from self.applied(rows.mT).mT.split(size, 1)
 
     def part(self, first: int, last: int, receivers: Tensor | None = None) -> SignalModule:
         """Of those `receivers`, all if None, the columns of bands `first` to `last` - 1: what adaptive shading reads.

@@ -13,10 +13,11 @@ from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphe
 from torchprt.sh.basis import only_values_are_wanted
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.precision import without_autocast
+from torchprt.sh.turned_product import TurnedProduct, euler_turns
 from torchprt.shade.batches import light_product
 from torchprt.shade.eye_layer import EyeLayerModule
 from torchprt.shade.layer import layer_module
-from torchprt.shade.product_levels import PIECE, ProductLevels, Rule
+from torchprt.shade.product_levels import ProductLevels, Rule, local_products
 from torchprt.shade.signal import Making, SignalModule, hold
 from torchprt.transfer import Visibility
 
@@ -68,18 +69,13 @@ class VisibilityLayer(EyeLayerModule):
     def in_pieces(
         self, values: Float[Tensor, "*B g M"], signal: SignalModule, frames: Float[Tensor, "3 3 g"], rule: Rule
     ) -> Iterator[Float[Tensor, "*B N p"]]:
-        """Transfer vectors of some receivers, some of them after the other, so that what lies between is in the cache.
-
-        `values`, `signal` and `frames` of those receivers. A graph that is traced takes all at once.
-        """
-        count = values.shape[-2]
-        size = max(PIECE // (max(math.prod(values.shape[:-2]), 1) * len(rule.functions)), 64)
-        size = max(count, 1) if torch.compiler.is_compiling() else size
-        turned = frames.permute(2, 1, 0)
-        seen = signal.applied_in_pieces(rule.functions.mT, size)
-        for some, of_some, turn in zip(values.split(size, -2), seen, turned.split(size), strict=True):
-            local = ((some @ rule.kernel) * of_some) @ rule.harmonics
-            yield self._turned(local.unsqueeze(-1), turn)[..., 0].mT
+        """Transfer vectors of some receivers, piece after piece. `values`, `signal` and `frames` of those receivers."""
+        pieces = local_products(values.mT, signal, rule)
+        start = 0
+        for local in pieces:
+            turn = frames[..., start : start + local.shape[-1]].permute(2, 1, 0)
+            start += local.shape[-1]
+            yield self._turned(local.mT.unsqueeze(-1), turn)[..., 0].mT
 
     def under(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B 3 M G"]:
         local = self._turned(light.unsqueeze(-3), self.frames.permute(2, 0, 1))
@@ -92,8 +88,31 @@ class VisibilityLayer(EyeLayerModule):
         if out is not None or torch.compiler.is_compiling():
             return light_product(light, self.toward(values), out=out)
         assert values is not None
-        vectors = self.in_pieces(values, self.signal, self.frames, self.rule())
-        return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+        return self.products(light, values, self.signal, self.frames, None, self.rule())
+
+    def products(
+        self,
+        light: Float[Tensor, "*#B N 3"],
+        values: Float[Tensor, "*#B g M"],
+        signal: SignalModule,
+        frames: Float[Tensor, "3 3 g"],
+        turns: Tensor | None,
+        rule: Rule,
+    ) -> Float[Tensor, "... 3 g"]:
+        """Radiance of some receivers, without the weight; `turns` as of `sh.euler_turns`, made here if not given."""
+        if math.prod(values.shape[:-2]) != 1 or not only_values_are_wanted(light, values, rule.kernel, frames):
+            vectors = self.in_pieces(values, signal, frames, rule)
+            return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+        wide = frames.dtype
+        product = TurnedProduct(light.to(wide))
+        turns = euler_turns(frames.transpose(0, 1)) if turns is None else turns
+        found, start = [], 0
+        for local in local_products(values.reshape(values.shape[-2:]).mT, signal, rule):
+            some = slice(start, start + local.shape[-1])
+            found.append(without_autocast(product)(local.to(wide), turns[:, some]))
+            start = some.stop
+        radiance = torch.cat(found, -1).to(light.dtype)
+        return radiance.reshape(*torch.broadcast_shapes(light.shape[:-2], values.shape[:-2]), *radiance.shape[-2:])
 
     def levels(self, orders: Sequence[int]) -> ProductLevels:
         return ProductLevels(self, orders)
