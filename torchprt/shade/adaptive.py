@@ -91,7 +91,7 @@ class AdaptiveShader(nn.Module):
         levels: Sequence[int] | None = None,
         against: str = "last",
         hysteresis: float | int = 0.5,
-        blend: float | int = 0.25,
+        blend: float | int = 0.1,
         rings: int = 2,
         grow: bool = True,
     ):

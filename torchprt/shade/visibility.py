@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -20,6 +21,8 @@ from torchprt.shade.layer import layer_module
 from torchprt.shade.product_levels import ProductLevels, Rule, local_products
 from torchprt.shade.signal import Making, SignalModule, hold
 from torchprt.transfer import Visibility
+
+V = TypeVar("V", bound="VisibilityLayer")
 
 
 @layer_module.register(Visibility)
@@ -113,6 +116,14 @@ class VisibilityLayer(EyeLayerModule):
             start = some.stop
         radiance = torch.cat(found, -1).to(light.dtype)
         return radiance.reshape(*torch.broadcast_shapes(light.shape[:-2], values.shape[:-2]), *radiance.shape[-2:])
+
+    def at_order(self: V, order: int, index: Tensor) -> V:
+        rule = ProductLevels(self, (order,)).rule(0)
+        made = self.taken(index, self.signal.part(0, math.isqrt(rule.functions.shape[1]), index))
+        made = made.changed(kernel=rule.kernel, functions=rule.functions, harmonics=rule.harmonics)
+        made.turn = Rotation(order, self.frames.dtype).to(self.frames.device)
+        made.bands = order
+        return made
 
     def levels(self, orders: Sequence[int]) -> ProductLevels:
         return ProductLevels(self, orders)
