@@ -123,7 +123,7 @@ class Case:
 
         def shaded() -> Tensor:
             values = layers["visibility"].values(self.eye, None)
-            found = levels.at(0, self.lamp, values, None, None, None) * layers["visibility"].weight.T
+            found = levels.at(0, self.lamp, values, None)() * layers["visibility"].weight.T
             return layers["diffuse"](self.lamp) + found
 
         return shaded
