@@ -12,6 +12,8 @@ from torchprt.measure.time import Timing
 Cost = Literal["seconds", "bytes"]
 COSTS: tuple[Cost, ...] = ("seconds", "bytes")
 WORDS = {"seconds": "time", "bytes": "bytes"}
+# Errors that differ by less, relative, are the same: a rounding more is no worse.
+SAME = 0.01
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,12 @@ class Point:
 def front(points: Sequence[Point], by: Cost) -> list[Point]:
     """The points that no other beats in error and cost, the cheapest first, so that error falls from each to the next.
 
-    Of points of one error and one cost the first of `points` stands.
+    It falls by 1 % of itself at least: of points that differ by less the cheapest stands, and of points of one cost too
+    the first of `points`.
     """
     found: list[Point] = []
     for point in sorted(points, key=lambda each: (each.cost(by), each.error)):
-        if not found or point.error < found[-1].error:
+        if not found or point.error < (1 - SAME) * found[-1].error:
             found.append(point)
     return found
 
@@ -80,16 +83,16 @@ class Halved:
             return f"{share} the {WORDS[self.by]}: nothing that was tried is so cheap"
         before, after = percent(self.start.error), percent(self.point.error)
         said = f"{before} -> {after}"
-        if self.point.error <= self.start.error:
-            said = f"nothing lost, {said}"
+        if self.point.error <= (1 + SAME) * self.start.error:
+            said = f"{said}, nothing lost"
         return f"{share} the {WORDS[self.by]}: error {said}, {self.point.recipe.name}"
 
 
 def halved(points: Sequence[Point], start: Point, by: Cost, times: int = 2) -> Halved:
     """What is lost if a frame may take 1/`times` of the time of `start`, or its model so many of the bytes."""
     cheap = [point for point in points if point.cost(by) <= start.cost(by) / times]
-    best = min(cheap, key=lambda each: (each.error, each.cost(by)), default=None)
-    return Halved(start, by, times, best)
+    line = front(cheap, by)
+    return Halved(start, by, times, line[-1] if line else None)
 
 
 def percent(error: float) -> str:

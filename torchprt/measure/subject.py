@@ -19,6 +19,9 @@ from torchprt.transfer import Dense, Transfer
 
 # Directions of candidates and of the reference: of one set they would share its noise.
 _SEED, _REFERENCE_SEED = 0, 1
+# Of the base, baked at it as well to tell what bands cost.
+_LOWEST = 2
+_BOUNCES = 4
 # Seconds that a million rays of one bake take, about; and of a bake apart from its rays.
 _A_MILLION, _A_BAKE = 0.15, 1.0
 
@@ -35,11 +38,21 @@ class Subject(Protocol):
     def expected(self, recipe: Recipe) -> float:
         """Seconds until `baked` of the recipe answers, about."""
 
+    def begin(self, report: Report) -> Transfer:
+        """The transfer of the reference; `choice` is complete when it is there."""
+
     def baked(self, recipe: Recipe, report: Report) -> Transfer:
         """The dense transfer of the recipe, of its order."""
 
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
-        """CPU seconds of a bake of this recipe alone, and how they are known: "timed" or "interpolated"."""
+        """CPU seconds of a bake of this recipe alone, and how they are known: "timed", "interpolated" or "given"."""
+
+    @property
+    def more_seconds(self) -> float:
+        """How long `more` takes, about."""
+
+    def more(self, report: Report) -> None:
+        """What `seconds` needs beside the bakes that were made."""
 
     def channels(self, recipe: Recipe) -> int: ...
 
@@ -51,23 +64,25 @@ class SceneSubject:
     between, and for other rays and bounces in the same proportion, it is interpolated by the number of coefficients.
     """
 
-    def __init__(self, scene: Scene, kept: Kept, *, order: int, rays: int, output_order: int, threads: int | None):
+    def __init__(self, scene: Scene, kept: Kept, *, order: int, rays: int, threads: int | None):
         self.scene, self.kept, self._threads = scene, kept, threads
         self.key = key_of_scene(scene)
         geometry = scene.geometry()
         self._receivers = geometry.receivers
         self._glossy = scene.requires().kind == "glossy"
-        frame, shown = ("exit", output_order) if self._glossy else (None, None)
+        frame, shown = ("exit", order) if self._glossy else (None, None)
         self._first = Recipe(order, rays, bounces=0, frame=frame, output_order=shown)
-        self.choice = Choice(self._first, geometry.receivers, len(geometry.gloss))
+        self._glosses = len(geometry.gloss)
+        # Until `begin` knows: most scenes have light for so many bounces.
+        guess = self._first.replace(bounces=_BOUNCES if bool((geometry.albedo > 0).any()) else 0)
+        self.choice = Choice(guess, self._receivers, self._glosses)
         self._last: tuple[str, Transfer] | None = None
 
-    def follow(self, report: Report) -> None:
+    def begin(self, report: Report) -> Transfer:
         """Bakes the reference, with bounces until light is spent, and so learns how many there are."""
         transfer = self._whole(self._first, math.inf, report)
-        self.choice = Choice(
-            self._first.replace(bounces=transfer.bounces), self._receivers, len(self.scene.geometry().gloss)
-        )
+        self.choice = Choice(self._first.replace(bounces=transfer.bounces), self._receivers, self._glosses)
+        return transfer
 
     def channels(self, recipe: Recipe) -> int:
         return self.scene.requires(recipe.bounces).channels
@@ -80,6 +95,9 @@ class SceneSubject:
         whole, bounces = self._of(recipe)
         if self.kept.has_transfer(self._key(whole, bounces)):
             return 0.05
+        return self._bake_seconds(whole, bounces)
+
+    def _bake_seconds(self, whole: Recipe, bounces: int | float) -> float:
         rows = 1 if not self._glossy else (whole.output_order or whole.order) ** 2 / 4
         rays = 0 if not whole.shadows else whole.rays * self._receivers / 1e6
         return _A_BAKE + _A_MILLION * rays * (1 + 0.2 * min(bounces, 5)) * max(1.0, rows)
@@ -88,27 +106,35 @@ class SceneSubject:
         whole, bounces = self._of(recipe)
         return self._whole(whole, bounces, report).to_order(recipe.order)
 
-    def time_lowest(self, order: int, report: Report) -> None:
-        """Times the base at a low order as well, for `seconds`."""
-        base = self.choice.base
-        low = base.replace(order=order, output_order=_output(base))
-        if self.kept.record(self._key(low, low.bounces)) is None:
+    @property
+    def more_seconds(self) -> float:
+        low = self._lowest()
+        known = self.kept.record(self._key(low, low.bounces)) is not None
+        return 0.0 if known else self._bake_seconds(low, low.bounces)
+
+    def more(self, report: Report) -> None:
+        """Times the base at a low order as well."""
+        if self.more_seconds:
+            low = self._lowest()
             self._bake(low, low.bounces, report)
+
+    def _lowest(self) -> Recipe:
+        base = self.choice.base
+        return base.replace(order=min(_LOWEST, self._first.order), output_order=_output(base))
 
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
         whole, bounces = self._of(recipe)
         found = self._timed(whole, bounces)
-        if whole.order == recipe.order or found is None:
-            return found, "timed"
-        base = self.choice.base
-        top, _ = self._of(base)
-        high = self._timed(top, base.bounces)
-        for order in range(1, top.order):
-            low = self._timed(base.replace(order=order, output_order=_output(base)), base.bounces)
-            if low is not None and high:
-                each = (high - low) / (top.order**2 - order**2) / high
-                return found * (1 - each * (whole.order**2 - recipe.order**2)), "interpolated"
-        return None, "unknown"
+        if found is None or whole.order == recipe.order:
+            return found, "timed" if found is not None else "unknown"
+        lowest = self._lowest()
+        low = self._timed(lowest, lowest.bounces)
+        top, followed = self._of(self.choice.base)
+        high = self._timed(top, followed)
+        if low is None or not high:
+            return None, "unknown"
+        share = (1 - low / high) * (top.order**2 - recipe.order**2) / (top.order**2 - lowest.order**2)
+        return found * (1 - share), "interpolated"
 
     def _timed(self, recipe: Recipe, bounces: int | float) -> float | None:
         record = self.kept.record(self._key(recipe, bounces))
@@ -180,7 +206,7 @@ class FileSubject:
                 "bake with frame exit"
             )
         self.key = key_of_transfer(transfer)
-        self._transfer = transfer
+        self._transfer, self.more_seconds = transfer, 0.0
         dense = all(isinstance(layer.signal, Dense) for layer in transfer.layers.values())
         stored: dict[torch.dtype, StoredType] = {torch.float16: "float16", torch.bfloat16: "bfloat16"}
         widths = {layer.signal.dtype for layer in transfer.layers.values()} if dense else set()
@@ -208,8 +234,13 @@ class FileSubject:
     def baked(self, recipe: Recipe, report: Report) -> Transfer:
         return self._transfer if recipe.order == self._transfer.order else self._transfer.to_order(recipe.order)
 
+    def begin(self, report: Report) -> Transfer:
+        return self._transfer
+
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
         return None, "given"
+
+    def more(self, report: Report) -> None: ...
 
 
 def _output(recipe: Recipe) -> int | None:

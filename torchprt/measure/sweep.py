@@ -54,7 +54,10 @@ class Choice:
 
 
 def sweep(choice: Choice, quick: bool = False) -> list[Recipe]:
-    """The recipes to try, each once: the base first, and last the reference unless it is the base. A quick sweep has about a third of them."""
+    """The recipes to try, each once: the base first, and last the reference unless it is the base.
+
+    A quick sweep has about a third of them.
+    """
     found = [choice.base, *_orders(choice, quick), *_stored(choice, quick), *_run(choice, quick)]
     if not quick:
         found += _windowed(choice)
@@ -91,14 +94,16 @@ def _stored(choice: Choice, quick: bool) -> list[Recipe]:
     if not choice.dense:
         return found
     plain = choice.base.replace(dtype="float32")
-    sizes = [size for size in CLUSTERS if size[0] * _FULL <= choice.receivers]
+    # As many weights as numbers compress nothing.
+    sizes = [each for each in CLUSTERS if each[0] * _FULL <= choice.receivers and each[1] < choice.base.order**2]
     for clusters, components in sizes[:1] if quick else sizes:
         packed = {"clusters": clusters, "components": components}
         found += [plain.replace(**packed, bits=bits) for bits in ((8,) if quick else (32, 8))]
     if not quick and sizes:
         clusters, components = sizes[-1]
-        more = {"clusters": clusters, "components": components, "bits": 8}
-        found += [each.replace(dtype="float32", **more) for each in _at(choice, quick)]
+        for each in _at(choice, quick):
+            packed = {"clusters": clusters, "components": min(components, each.order**2 // 2)}
+            found.append(each.replace(dtype="float32", **packed, bits=8))
     if plain.frame is None:
         found += [plain.replace(lobes=lobes) for lobes in (LOBES[:1] if quick else LOBES)]
     return found

@@ -72,7 +72,7 @@ class Views:
         found: Sequence[Sequence[Float[Tensor, "H W 3"]]],
         wanted: Sequence[Sequence[Float[Tensor, "H W 3"]]],
     ) -> tuple[float, float]:
-        """PSNR in decibels, at most 100, and mean FLIP, both over the pixels that show the model and of the worst picture.
+        """PSNR in decibels, at most 100, and mean FLIP of the worst picture, both over the pixels that show the model.
 
         Source of FLIP: Andersson, Nilsson, Akenine-Moller, Oskarsson, Astrom and Fairchild 2020, at 67 pixels a degree.
         """

@@ -16,17 +16,21 @@ class Whole:
     """Tells steps, each expected to take some seconds, as one stage `name` of `seconds`.
 
     The unit is a tenth of an expected second, so that a rate of 10 a second says that all goes as expected. It is full
-    when `end` is called, and never before.
+    when `end` is called, and never before. When it becomes known what follows, `expect` tells.
     """
 
     def __init__(self, report: Report, name: str, seconds: float):
         self._report, self._total = report, max(1, round(seconds / UNIT))
-        self._place, self._told = 0.0, 0
+        self._place, self._told, self._scale = 0.0, 0, 1.0
         report.start(name, self._total)
 
     def step(self, seconds: float) -> Step:
         """A context manager for the next step; it is a report for the stages of its work."""
-        return Step(self, seconds / UNIT)
+        return Step(self, self._scale * seconds / UNIT)
+
+    def expect(self, seconds: float) -> None:
+        """The steps that follow take so many seconds, and fill what is left."""
+        self._scale = (self._total - self._place) * UNIT / max(seconds, UNIT)
 
     def move(self, amount: float) -> None:
         self._place += amount
