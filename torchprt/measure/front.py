@@ -77,15 +77,15 @@ class Halved:
     point: Point | None
 
     def __str__(self) -> str:
-        """In words: "half the time: error 1.3 % -> 1.5 %, order 4, onnx"."""
+        """In words: "half the time: error 1.3 % -> 1.5 %, with order 4, onnx"."""
         share = {2: "half", 4: "a quarter of", 8: "an eighth of"}.get(self.times, f"1/{self.times} of")
         if self.point is None:
             return f"{share} the {WORDS[self.by]}: nothing that was tried is so cheap"
         before, after = percent(self.start.error), percent(self.point.error)
         said = f"{before} -> {after}"
         if self.point.error <= (1 + SAME) * self.start.error:
-            said = f"{said}, nothing lost"
-        return f"{share} the {WORDS[self.by]}: error {said}, {self.point.recipe.name}"
+            said = f"{said} (nothing lost)"
+        return f"{share} the {WORDS[self.by]}: error {said}, with {apart(self.point.recipe, self.start.recipe)}"
 
 
 def halved(points: Sequence[Point], start: Point, by: Cost, times: int = 2) -> Halved:
@@ -93,6 +93,16 @@ def halved(points: Sequence[Point], start: Point, by: Cost, times: int = 2) -> H
     cheap = [point for point in points if point.cost(by) <= start.cost(by) / times]
     line = front(cheap, by)
     return Halved(start, by, times, line[-1] if line else None)
+
+
+def apart(recipe: Recipe, base: Recipe) -> str:
+    """In what a recipe differs from the base: "order 4, onnx"; "all as in the base" if in nothing."""
+    known = base.name.split(", ")
+    words = [word for word in recipe.name.split(", ") if word not in known]
+    if recipe.shadows and base.bounces > recipe.bounces == 0 and recipe.frame != "visibility":
+        words.append("0 bounces")
+    words += [f"no {word}" for word in (base.window, base.runtime) if word in known and word not in recipe.name]
+    return ", ".join(words) or "all as in the base"
 
 
 def percent(error: float) -> str:

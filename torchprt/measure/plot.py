@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
-from torchprt.measure.front import COSTS, Cost, Point, amount, percent
+from torchprt.measure.front import COSTS, Cost, Point, amount, apart, percent
 from torchprt.measure.recipe import Recipe
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ def save_plot(found: Tradeoff, path: str | os.PathLike[str]) -> None:
         place = 0.012 + 0.5 * column
         words.text(place, 0.98, "\n".join(part), va="top", fontsize=8.5, family="DejaVu Sans Mono", linespacing=1.35)
     lights = ", ".join(found.lights)
-    figure.suptitle(f"{found.name} under {lights}; errors against {found.reference.name}", fontsize=10)
+    said = f"{found.name} under {lights}. Base: {found.base.recipe.name}. Errors against {found.reference.name}."
+    figure.suptitle(said, fontsize=10)
     with atomic(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
 
@@ -129,14 +130,11 @@ def _halves(axes: Any, found: Tradeoff, by: Cost) -> None:
     axes.axvline(from_[0] / 2, color="black", linewidth=0.8, linestyle=":")
     axes.axvspan(axes.get_xlim()[0], from_[0] / 2, color="#2a9d4a", alpha=0.06, zorder=0)
     axes.scatter(*from_, s=190, facecolors="none", edgecolors="black", linewidths=1.4, zorder=5)
-    top = axes.get_ylim()[1]
-    for place, said in (
-        (from_[0], f"base: {base.recipe.name}"),
-        (from_[0] / 2, f"half: {amount(by, base.cost(by) / 2)}"),
-    ):
-        axes.annotate(
-            said, (place, top), (-3, -3), textcoords="offset points", ha="right", va="top", fontsize=9, rotation=90
-        )
+    axes.annotate("base", from_, (11, -9), textcoords="offset points", va="top", fontsize=10, fontweight="bold")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high)
+    limit = f"half of {amount(by, base.cost(by))} "
+    axes.annotate(limit, (from_[0] / 2, high), (-2, -4), textcoords="offset points", ha="right", va="top", fontsize=9)
     if half.point is not None:
         to = _place(half.point, by)
         axes.scatter(*to, s=190, facecolors="none", edgecolors="#2a9d4a", linewidths=2.2, zorder=5)
@@ -152,7 +150,7 @@ def _key(found: Tradeoff, numbered: dict[Recipe, int]) -> list[str]:
     for recipe, number in numbered.items():
         point = by_recipe[recipe]
         costs = f"{percent(point.error):>8} {amount('seconds', point.seconds):>9} {amount('bytes', point.bytes):>8}"
-        lines.append(f"{number:>2} {costs}  {recipe.name}")
+        lines.append(f"{number:>2} {costs}  {apart(recipe, found.base.recipe)}")
     return lines
 
 

@@ -60,6 +60,8 @@ class Subject(Protocol):
 class SceneSubject:
     """A scene. A bake has the bands of the reference: of fewer bands it is the first columns, to the bit.
 
+    (Between glossy surfaces to the rounding of float32: products of other shapes add up in another order.)
+
     What a bake of fewer bands would take is timed at the order of the reference and, for the base, at the lowest; in
     between, and for other rays and bounces in the same proportion, it is interpolated by the number of coefficients.
     """

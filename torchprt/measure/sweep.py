@@ -12,6 +12,7 @@ CROSSED = (3, 5, 8)
 RAYS = (16, 64, 256, 1024)
 WINDOWS = ("hann", "lanczos", "gauss", "auto")
 CLUSTERS = ((64, 8), (256, 4), (256, 8), (256, 16))
+_WIDE = (256, 8)
 LOBES = (1, 2, 3)
 OUTPUTS = (2, 3, 4, 5, 6, 8)
 FACTORS = (2, 4, 8)
@@ -96,14 +97,14 @@ def _stored(choice: Choice, quick: bool) -> list[Recipe]:
     plain = choice.base.replace(dtype="float32")
     # As many weights as numbers compress nothing.
     sizes = [each for each in CLUSTERS if each[0] * _FULL <= choice.receivers and each[1] < choice.base.order**2]
-    for clusters, components in sizes[:1] if quick else sizes:
-        packed = {"clusters": clusters, "components": components}
-        found += [plain.replace(**packed, bits=bits) for bits in ((8,) if quick else (32, 8))]
-    if not quick and sizes:
-        clusters, components = sizes[-1]
-        for each in _at(choice, quick):
-            packed = {"clusters": clusters, "components": min(components, each.order**2 // 2)}
-            found.append(each.replace(dtype="float32", **packed, bits=8))
+    for size in sizes[:1] if quick else sizes:
+        # Wide weights lose no less: one of them shows it.
+        for bits in (32, 8) if size == _WIDE and not quick else (8,):
+            found.append(plain.replace(**dict(zip(("clusters", "components"), size, strict=True)), bits=bits))
+    if _WIDE in sizes and not quick:
+        for each in _at(choice, quick)[1:]:
+            components = min(_WIDE[1], each.order**2 // 2)
+            found.append(each.replace(dtype="float32", clusters=_WIDE[0], components=components, bits=8))
     if plain.frame is None:
         found += [plain.replace(lobes=lobes) for lobes in (LOBES[:1] if quick else LOBES)]
     return found

@@ -10,7 +10,7 @@ import torch
 
 from torchprt.errors import InputError
 from torchprt.files import atomic_folder
-from torchprt.measure.front import Point, amount, percent
+from torchprt.measure.front import Point, amount, apart, percent
 from torchprt.measure.plot import check_matplotlib, save_plot
 from torchprt.measure.recipe import write_recipe
 from torchprt.measure.table import Table
@@ -87,7 +87,7 @@ def thumbnails(found: Tradeoff) -> torch.Tensor:
         painted = found.views.painted(error_colours(error.float(), end))
         pictures.append(torch.cat([found.views.picture(radiance), painted], 1))
         costs = f"{percent(point.error)}, {amount('seconds', point.seconds)}, {amount('bytes', point.bytes)}"
-        labels.append(f"{number}  {point.recipe.name}: {costs}")
+        labels.append(f"{number}  {apart(point.recipe, found.base.recipe)}: {costs}")
     return sheet([_smaller(each) for each in pictures], labels, _COLUMNS)
 
 
