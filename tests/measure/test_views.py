@@ -26,9 +26,10 @@ def radiance(ball):
     return (0.3 + 0.2 * ball.positions).clamp(min=0)
 
 
-def test_an_eye_in_the_model_is_refused(ball):
-    with pytest.raises(InputError, match="sees nothing"):
-        Views(ball, [LIGHT], torch.tensor([[0.0, 0.0, 0.0]]), size=SIZE)
+@pytest.mark.parametrize("eye", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.0)])
+def test_an_eye_in_the_model_is_refused(ball, eye):
+    with pytest.raises(InputError, match=r"the eye at 0,0(\.5)?,0 sees nothing"):
+        Views(ball, [LIGHT], torch.tensor([eye]), size=SIZE)
 
 
 def test_without_flip_one_sentence_says_what_to_install(monkeypatch):

@@ -110,7 +110,7 @@ def percent(error: float) -> str:
     return f"{100 * error:.2g} %" if error < 0.995 else f"{100 * error:.0f} %"
 
 
-def amount(by: Cost, cost: float) -> str:
+def amount(by: Cost, cost: float | int) -> str:
     """A cost in the unit it is read in: "0.41 ms", "870 kB"."""
     if by == "seconds":
         return f"{1e3 * cost:.3g} ms"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 
@@ -26,6 +26,7 @@ _BOUNCES = 4
 _A_MILLION, _A_BAKE = 0.15, 1.0
 
 
+@runtime_checkable
 class Subject(Protocol):
     """What can be measured."""
 
@@ -45,7 +46,13 @@ class Subject(Protocol):
         """The dense transfer of the recipe, of its order."""
 
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
-        """CPU seconds of a bake of this recipe alone, and how they are known: "timed", "interpolated" or "given"."""
+        """CPU seconds of a bake of this recipe alone, and how they are known.
+
+        "timed", "interpolated", "given" if it was not made here, or "unknown".
+        """
+
+    def compare(self, base: Recipe) -> None:
+        """`base` is what other recipes are compared with."""
 
     @property
     def more_seconds(self) -> float:
@@ -78,13 +85,18 @@ class SceneSubject:
         # Until `begin` knows: most scenes have light for so many bounces.
         guess = self._first.replace(bounces=_BOUNCES if bool((geometry.albedo > 0).any()) else 0)
         self.choice = Choice(guess, self._receivers, self._glosses)
+        self._base = self.choice.base
         self._last: tuple[str, Transfer] | None = None
 
     def begin(self, report: Report) -> Transfer:
         """Bakes the reference, with bounces until light is spent, and so learns how many there are."""
         transfer = self._whole(self._first, math.inf, report)
         self.choice = Choice(self._first.replace(bounces=transfer.bounces), self._receivers, self._glosses)
+        self._base = self.choice.base
         return transfer
+
+    def compare(self, base: Recipe) -> None:
+        self._base = base
 
     def channels(self, recipe: Recipe) -> int:
         return self.scene.requires(recipe.bounces).channels
@@ -121,7 +133,7 @@ class SceneSubject:
             self._bake(low, low.bounces, report)
 
     def _lowest(self) -> Recipe:
-        base = self.choice.base
+        base = Recipe(**self._base.part("bake"))
         return base.replace(order=min(_LOWEST, self._first.order), output_order=_output(base))
 
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
@@ -131,9 +143,9 @@ class SceneSubject:
             return found, "timed" if found is not None else "unknown"
         lowest = self._lowest()
         low = self._timed(lowest, lowest.bounces)
-        top, followed = self._of(self.choice.base)
+        top, followed = self._of(self._base)
         high = self._timed(top, followed)
-        if low is None or not high:
+        if low is None or not high or top.order == lowest.order:
             return None, "unknown"
         share = (1 - low / high) * (top.order**2 - recipe.order**2) / (top.order**2 - lowest.order**2)
         return found * (1 - share), "interpolated"
@@ -238,6 +250,8 @@ class FileSubject:
 
     def begin(self, report: Report) -> Transfer:
         return self._transfer
+
+    def compare(self, base: Recipe) -> None: ...
 
     def seconds(self, recipe: Recipe) -> tuple[float | None, str]:
         return None, "given"

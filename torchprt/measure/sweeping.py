@@ -59,6 +59,7 @@ class Sweeping:
             best = subject.begin(step)
         self.recipes = chosen(subject.choice)
         self._check_recipes()
+        subject.compare(self.recipes[0])
         self._lights = {name: light[: best.order**2] for name, light in lights.items()}
         self.views = Views(best.receivers, list(self._lights.values()), eyes)
         self._by_eye = "eye" in best.needs

@@ -50,6 +50,12 @@ def check_folder(folder: str | os.PathLike[str]) -> Path:
         raise InputError(f"{target} is a file: give the name of a folder for the sweep")
     if target.is_dir() and any(target.iterdir()) and not ((target / CSV).is_file() and (target / PLOT).is_file()):
         raise InputError(f"{target} holds something that is no sweep of torchprt: give another folder")
+    # Before long work, not after it.
+    above = next((each for each in target.parents if each.exists()), target.parent)
+    if not above.is_dir():
+        raise InputError(f"{target} cannot be made: {above} is a file, choose another folder")
+    if not os.access(above, os.W_OK):
+        raise InputError(f"{target} cannot be made: no permission in {above}, choose another folder")
     return target
 
 

@@ -24,6 +24,8 @@ MOST = 100.0
 class Views:
     """The model of `receivers` seen from `eyes [E, 3]`, or from the usual side; exposures are those of the lights.
 
+    `size` in pixels, (480, 360) if omitted.
+
     Raises InputError as `Still` and `frame`, and if flip-evaluator is not installed.
     """
 
@@ -32,9 +34,10 @@ class Views:
         receivers: Receivers,
         lights: Sequence[Float[Tensor, "N 3"]],
         eyes: Float[Tensor, "E 3"] | None = None,
-        size: tuple[int, int] = SIZE,
+        size: tuple[int, int] | None = None,
     ):
         check_flip()
+        size = size or SIZE
         self.cameras = cameras(receivers, eyes, size)
         solid = opacity(receivers)
         self._stills = [
@@ -42,10 +45,12 @@ class Views:
             for camera in self.cameras
         ]
         self._exposures = [automatic_exposure(light) for light in lights]
-        # What shows the model: a plain background is never wrong.
-        self._seen = [still.coverage > 0 for still in self._stills]
-        if not all(bool(seen.any()) for seen in self._seen):
-            raise InputError("an eye sees nothing of the model: give one that looks at it from outside")
+        # What shows the model: the background is never wrong, nor is the black of back faces.
+        white = torch.ones(receivers.count, 3)
+        self._seen = [still.radiance(white)[..., 0] > 0 for still in self._stills]
+        for camera, seen in zip(self.cameras, self._seen, strict=True):
+            if not bool(seen.any()):
+                raise InputError(_blind(camera.eye))
 
     @property
     def eyes(self) -> Float[Tensor, "E 3"]:
@@ -96,8 +101,15 @@ def cameras(receivers: Receivers, eyes: Float[Tensor, "E 3"] | None, size: tuple
     found = []
     for eye in eyes.double():
         x, y, z = (eye - middle).tolist()
-        found.append(frame(points, (x, y, z), aspect=aspect, distance=float((eye - middle).norm()) or None))
+        if not (x or y or z):
+            raise InputError(_blind(tuple(eye.tolist())))
+        found.append(frame(points, (x, y, z), aspect=aspect, distance=float((eye - middle).norm())))
     return found
+
+
+def _blind(eye: Sequence[float]) -> str:
+    place = ",".join(f"{value:g}" for value in eye)
+    return f"the eye at {place} sees nothing of the model: give one that looks at it from outside"
 
 
 def flip(picture: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
