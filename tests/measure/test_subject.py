@@ -140,7 +140,9 @@ def test_seconds_are_timed_or_lie_between_what_was_timed(subject):
     found.baked(base, SILENT)
     found.more(SILENT)
     # As if the lowest had taken half of the highest.
-    (low,) = [found.kept.record(path.stem) for path in found.kept.folder.rglob("*.json") if "order 2" in path.read_text()]
+    (low,) = [
+        found.kept.record(path.stem) for path in found.kept.folder.rglob("*.json") if "order 2" in path.read_text()
+    ]
     keys = [path.stem for path in found.kept.folder.rglob("*.json") if "order 2" in path.read_text()]
     found.kept.keep(keys[0], {**low, "seconds": 1.0})
     found.kept.keep(found.key_of_bake(base), {"seconds": 3.0})

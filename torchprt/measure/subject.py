@@ -15,7 +15,8 @@ from torchprt.measure.recipe import Recipe, StoredType
 from torchprt.measure.sweep import Choice
 from torchprt.progress import Report
 from torchprt.scene import Scene
-from torchprt.transfer import Dense, Transfer
+from torchprt.transfer import Dense, Receivers, Transfer
+from torchprt.transport import result
 
 # Directions of candidates and of the reference: of one set they would share its noise.
 _SEED, _REFERENCE_SEED = 0, 1
@@ -32,6 +33,7 @@ class Subject(Protocol):
 
     key: str
     choice: Choice
+    receivers: Receivers
 
     def key_of_bake(self, recipe: Recipe) -> str:
         """What the dense transfer of a recipe is taken from: the same for recipes that share it."""
@@ -77,21 +79,21 @@ class SceneSubject:
         self.scene, self.kept, self._threads = scene, kept, threads
         self.key = key_of_scene(scene)
         geometry = scene.geometry()
-        self._receivers = geometry.receivers
+        self.receivers: Receivers = result.vertices(geometry)
         self._glossy = scene.requires().kind == "glossy"
         frame, shown = ("exit", order) if self._glossy else (None, None)
         self._first = Recipe(order, rays, bounces=0, frame=frame, output_order=shown)
         self._glosses = len(geometry.gloss)
         # Until `begin` knows: most scenes have light for so many bounces.
         guess = self._first.replace(bounces=_BOUNCES if bool((geometry.albedo > 0).any()) else 0)
-        self.choice = Choice(guess, self._receivers, self._glosses)
+        self.choice = Choice(guess, geometry.receivers, self._glosses)
         self._base = self.choice.base
         self._last: tuple[str, Transfer] | None = None
 
     def begin(self, report: Report) -> Transfer:
         """Bakes the reference, with bounces until light is spent, and so learns how many there are."""
         transfer = self._whole(self._first, math.inf, report)
-        self.choice = Choice(self._first.replace(bounces=transfer.bounces), self._receivers, self._glosses)
+        self.choice = Choice(self._first.replace(bounces=transfer.bounces), self.receivers.count, self._glosses)
         self._base = self.choice.base
         return transfer
 
@@ -113,7 +115,7 @@ class SceneSubject:
 
     def _bake_seconds(self, whole: Recipe, bounces: int | float) -> float:
         rows = 1 if not self._glossy else (whole.output_order or whole.order) ** 2 / 4
-        rays = 0 if not whole.shadows else whole.rays * self._receivers / 1e6
+        rays = 0 if not whole.shadows else whole.rays * self.receivers.count / 1e6
         return _A_BAKE + _A_MILLION * rays * (1 + 0.2 * min(bounces, 5)) * max(1.0, rows)
 
     def baked(self, recipe: Recipe, report: Report) -> Transfer:
@@ -219,7 +221,7 @@ class FileSubject:
                 f"{transfer.kind} transfer leaves the reflectance open, so there is nothing to compare pictures of: "
                 "bake with frame exit"
             )
-        self.key = key_of_transfer(transfer)
+        self.key, self.receivers = key_of_transfer(transfer), transfer.receivers
         self._transfer, self.more_seconds = transfer, 0.0
         dense = all(isinstance(layer.signal, Dense) for layer in transfer.layers.values())
         stored: dict[torch.dtype, StoredType] = {torch.float16: "float16", torch.bfloat16: "bfloat16"}

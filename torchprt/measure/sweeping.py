@@ -47,6 +47,10 @@ class Sweeping:
         report: Report,
     ):
         self.subject, self.kept = subject, kept
+        best = subject.choice.reference
+        self._lights = {name: light[: best.order**2] for name, light in lights.items()}
+        # Before anything is baked: eyes may see nothing.
+        self.views = Views(subject.receivers, list(self._lights.values()), eyes)
 
         def chosen(choice: Choice) -> list[Recipe]:
             return sweep(choice, quick) if recipes is None else list(dict.fromkeys(recipes))
@@ -56,14 +60,13 @@ class Sweeping:
         guess = chosen(subject.choice)
         self._whole = Whole(report, "tradeoff", first + self._seconds(guess, guess))
         with self._whole.step(first) as step:
-            best = subject.begin(step)
+            transfer = subject.begin(step)
         self.recipes = chosen(subject.choice)
         self._check_recipes()
         subject.compare(self.recipes[0])
-        self._lights = {name: light[: best.order**2] for name, light in lights.items()}
-        self.views = Views(best.receivers, list(self._lights.values()), eyes)
-        self._by_eye = "eye" in best.needs
-        self.wanted = self._shaded(runner_of(best, subject.choice.reference), subject.choice.reference)
+        self._by_eye = "eye" in transfer.needs
+        best = subject.choice.reference
+        self.wanted = self._shaded(runner_of(transfer, best), best)
         self._pictures = self.views.pictures(self.wanted)
         self._seen_key = key_of("seen", [*self._lights.values(), self.views.eyes], names=list(lights))
         self._times = SideBySide(
