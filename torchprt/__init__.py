@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from . import transport as transport
     from . import web as web
     from .compression import compress as compress
+    from .measure import plan as plan
     from .transport import bake as bake
 
 _ROOMS = (
@@ -59,6 +60,7 @@ _NAMES = {
     "shader": "shade",
     "bake": "transport",
     "compress": "compression",
+    "plan": "measure",
     "Transfer": "transfer",
     "load_transfer": "transfer",
     "save_transfer": "transfer",

@@ -27,8 +27,8 @@ from trimesh.creation import icosphere
 
 from torchprt import demo, light, preview, sh
 from torchprt.compression import compress
+from torchprt.light import windowed as windowed_by
 from torchprt.preview.lobe import sphere
-from torchprt.preview.session import windowed as windowed_by
 from torchprt.scene import Material, Mesh, Object, Scene, TangentWarning, make_mesh, samples
 from torchprt.shade import display, shader
 from torchprt.trace import Tracer

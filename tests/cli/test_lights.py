@@ -5,8 +5,10 @@ import pytest
 from transfers import random_glossy, replaced
 
 from torchprt.cli.environments import BUILT_IN
+from torchprt.cli.options import WINDOWS
 from torchprt.cli.picture_options import TONES
 from torchprt.light import BUILT_IN as LIGHTS
+from torchprt.light import WINDOWS as KNOWN
 from torchprt.preview import built_in_environment
 from torchprt.shade.display import TONE
 from torchprt.shade.display import TONES as MAPS
@@ -16,6 +18,7 @@ from torchprt.transfer import save
 def test_commands_know_the_names_without_waiting_for_torch():
     assert BUILT_IN == LIGHTS
     assert TONES == MAPS
+    assert WINDOWS == KNOWN
     assert TONES[0] == TONE
 
 

@@ -288,11 +288,21 @@ def test_a_window_takes_ringing_away_and_says_how_much_it_leaves(run, folder, tm
     ringing = np.load(tmp_path / "a.npy").min()
     assert ringing < 0
     lowest = {}
-    for window in ("auto", "hann", "lanczos", "gauss"):
+    for window in ("auto", "least", "hann", "lanczos", "gauss"):
         ended = run(*arguments, "--window", window)
         assert ended.code == 0
         lowest[window] = np.load(tmp_path / "a.npy").min()
-        assert ("least window" in ended.out) == (window == "auto")
-    # A light that is nowhere negative gives no negative radiance; rounding of radiance up to a thousand.
+        assert ("keeps the light positive" in ended.out) == (window == "least")
+        assert ("keeps what it lights positive" in ended.out) == (window == "auto")
+    # A light that is nowhere negative gives no negative radiance, and on a ball neither does what a lobe gathers;
+    # rounding of radiance up to a thousand.
+    assert lowest["least"] > -64 * EPSILON * 1e3
     assert lowest["auto"] > -64 * EPSILON * 1e3
     assert min(lowest.values()) > ringing
+
+
+def test_a_light_that_needs_no_window_is_told_to_have_none(run, folder, tmp_path):
+    ended = run(
+        "shade", folder / "ball.safetensors", "--light", "overcast", "--window", "auto", "-o", tmp_path / "a.npy"
+    )
+    assert "no window: nothing that this light shines on turns negative" in ended.out

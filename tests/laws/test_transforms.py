@@ -80,6 +80,8 @@ CALLS = {
     "light.project": (positive(2, 4, 8, 3), lambda i: light.project(i, ORDER)),
     "light.sphere": (values(2, 3) + 3, lambda c: light.sphere(c, 0.5, 1.0, ORDER)),
     "light.sun_radiance": (positive(2), lambda a: light.sun_radiance(a.clamp(max=1.2), 3.0)),
+    "light.window_factors": (lit(2), lambda l: light.window_factors(l, "auto")),
+    "light.windowed": (lit(2), lambda l: light.windowed(l, "auto")),
 }
 # What takes no tensor, or gives Python numbers, files or reports of an image: work of the host.
 HOST = {
@@ -88,8 +90,9 @@ HOST = {
     "sh.gauss_legendre_hemisphere", "sh.hann", "sh.hemisphere_error", "sh.hemisphere_gram", "sh.hemisphere_projection",
     "sh.lanczos", "sh.latlong_basis", "sh.latlong_directions", "sh.latlong_weights", "sh.lebedev", "sh.order_of",
     "sh.project_function",
-    "light.BUILT_IN", "light.DamagedImageWarning", "light.ImageReport", "light.built_in", "light.inspect", "light.read",
-    "light.read_coefficients", "light.read_with_report", "light.studio", "light.write_coefficients",
+    "light.BUILT_IN", "light.DamagedImageWarning", "light.ImageReport", "light.WINDOWS", "light.built_in",
+    "light.inspect", "light.read", "light.read_coefficients", "light.read_with_report", "light.studio",
+    "light.write_coefficients",
 }  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Is the front what nobody beats, and is what half the cost loses told right?"""
 
+import itertools
 import random
 
 import pytest
@@ -28,7 +29,7 @@ def test_nobody_beats_a_point_of_the_front_and_all_others_are_beaten():
     ]
     line = front(points, "seconds")
     assert [each.seconds for each in line] == sorted(each.seconds for each in line)
-    assert all(after.error < 0.99 * before.error for before, after in zip(line, line[1:], strict=False))
+    assert all(after.error < 0.99 * before.error for before, after in itertools.pairwise(line))
     for each in points:
         # Itself, or one that costs no more and errs no more than 1 % more.
         assert any(other.seconds <= each.seconds and 0.99 * other.error <= each.error for other in line)

@@ -45,7 +45,7 @@ def small():
 @pytest.fixture
 def swept(tmp_path):
     def run(source=None, given=None, eyes=None, **options):
-        options = {"order": 4, "rays": 64, "recipes": RECIPES, "cache": tmp_path / "kept", "progress": False} | options
+        options = {"order": 4, "rays": 64, "recipes": RECIPES, "keep": tmp_path / "kept", "progress": False} | options
         return tradeoff(room() if source is None else source, lights() if given is None else given, eyes, **options)
 
     return run
@@ -53,9 +53,9 @@ def swept(tmp_path):
 
 @pytest.fixture(scope="module")
 def found(small, tmp_path_factory):
-    cache = tmp_path_factory.mktemp("kept")
+    folder = tmp_path_factory.mktemp("kept")
     return tradeoff(
-        room(), lights(), order=4, rays=64, recipes=RECIPES, cache=cache, progress=False, threads=1, name="room"
+        room(), lights(), order=4, rays=64, recipes=RECIPES, keep=folder, progress=False, threads=1, name="room"
     )
 
 

@@ -12,9 +12,10 @@ from zonal_transfers import bumpy, random_zonal
 from torchprt import light, sh
 from torchprt.compression import compress, decompress, fit
 from torchprt.errors import InputError
+from torchprt.light import WINDOWS, windowed
 from torchprt.preview import Environment, Session, automatic_exposure
 from torchprt.preview.animation import PERIOD
-from torchprt.preview.session import BACKDROPS, LOBE, MODES, PLAIN, WINDOWS, windowed
+from torchprt.preview.session import BACKDROPS, LOBE, MODES, PLAIN
 from torchprt.scene import Material, Object, Scene
 from torchprt.shade import display, shader
 from torchprt.transport import bake
@@ -90,11 +91,9 @@ def test_refuses_loose_points(make_transfer):
         Session({"points": points}, environments())
 
 
-def test_refuses_a_mode_or_a_window_that_is_not_there(session):
+def test_refuses_a_mode_that_is_not_there(session):
     with pytest.raises(InputError, match=r"mode 'x' is unknown: use one of transfer"):
         session.set_mode("x")
-    with pytest.raises(InputError, match=r"window 'x' is unknown"):
-        windowed(torch.zeros(16, 3), "x")
 
 
 # What it shows

@@ -135,3 +135,19 @@ def test_takes_no_lights():
     result, factors = sh.least_window(torch.zeros(0, 9, 3))
     assert result.shape == (0, 9, 3)
     assert factors.shape == (0, 3)
+
+
+def test_refuses_a_kernel_of_another_order():
+    with pytest.raises(InputError, match="order 3"):
+        sh.least_window(torch.ones(9, 3), torch.ones(4))
+
+
+@pytest.mark.parametrize("order", [3, 6])
+def test_with_a_kernel_what_it_gathers_is_nowhere_negative_and_the_window_is_weaker(order):
+    light, cosine = suns(order, 2), sh.clamped_cosine(order)
+    result, factors = sh.least_window(light, cosine)
+    elsewhere, _ = sh.gauss_legendre(20 * order)
+    irradiance = sh.evaluate(sh.convolve(result, cosine), elsewhere).flatten(1)
+    assert (irradiance.amin(1) >= -1e-9 * irradiance.amax(1)).all()
+    assert (factors[:, 1:] > sh.least_window(light)[1][:, 1:]).all()
+    torch.testing.assert_close(result, sh.window(light, factors), atol=0, rtol=0)

@@ -13,8 +13,8 @@ import torch
 from web.conftest import Visit, at
 
 from torchprt import light, sh
-from torchprt.light import built_in
-from torchprt.preview.environment import WINDOWS, automatic_exposure, windowed
+from torchprt.light import WINDOWS, built_in, windowed
+from torchprt.preview.environment import automatic_exposure
 from torchprt.shade.display import TONES, display
 
 SINGLE = 1e-6

@@ -70,8 +70,8 @@ class Tabulated(Brdf):
         view, light = torch.broadcast_tensors(view, light)
         tilts = tilt(view), tilt(light)
         if self.isotropic:
-            across = (view[..., 0] * light[..., 1] - view[..., 1] * light[..., 0]).abs()
-            along = view[..., 0] * light[..., 0] + view[..., 1] * light[..., 1]
+            (a, b), (c, d) = _sideways(view), _sideways(light)
+            across, along = (a * d - b * c).abs(), a * c + b * d
             places = [steps(tilts[0], values.shape[0]), steps(tilts[1], values.shape[1])]
             places.append(steps(_angle(across, along) / 2, values.shape[2]))
         else:
@@ -137,6 +137,16 @@ def tilt(direction: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D"]:
     squared = direction[..., 0].square() + direction[..., 1].square()
     off = squared > 0
     return torch.where(off, torch.atan2(torch.where(off, squared, 1.0).sqrt(), direction[..., 2]), 0.0)
+
+
+def _sideways(direction: Tensor) -> tuple[Tensor, Tensor]:
+    """x and y, scaled up where they are small: products of two of them would leave the range of floats."""
+    sideways = direction[..., :2]
+    largest = sideways.detach().abs().amax(-1, keepdim=True)
+    # Where they are smaller still, gradients would leave it.
+    scale = torch.where(largest > torch.finfo(direction.dtype).tiny ** 0.75, largest, 1.0)
+    x, y = (sideways / scale).unbind(-1)
+    return x, y
 
 
 def _angle(across: Tensor, along: Tensor) -> Tensor:

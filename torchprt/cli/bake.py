@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torchprt.cli import bake_options, options
 from torchprt.cli.report import details, say
+from torchprt.errors import InputError
 from torchprt.files import check_writable
+
+if TYPE_CHECKING:
+    from torchprt.scene import Scene
 
 
 def bake(
@@ -46,12 +51,22 @@ def bake(
     factors: Annotated[
         str | None, typer.Option(help="Gloss: factors of view and light instead of bands: 4, or an error, 0.05.")
     ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="A recipe, .toml, of `torchprt plan`, in place of how to bake and to store.")
+    ] = None,
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
     check_writable(output, (".safetensors",))
     count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
+    if plan is not None:
+        given = {"order": order, "rays": rays, "bounces": bounces, "unshadowed": unshadowed, "half": half}
+        given |= {"output-order": output_order, "visibility-order": visibility_order, "factors": factors}
+        given |= {"frame": frame != "exit", "projection": projection != "optimal"}
+        for name, value in given.items():
+            if value not in (None, False):
+                raise InputError(f"--{name} is given, but {plan} says how to bake: leave one of them out")
     scene = bake_options.scene_of(
         mesh,
         albedo=albedo,
@@ -63,6 +78,9 @@ def bake(
         ground_albedo=ground_albedo,
     )
     say(scene)
+    if plan is not None:
+        _bake_planned(scene, output, plan, seed=seed or 0, threads=threads, raw=raw)
+        return
     transfer = bake_options.baked(
         scene,
         output,
@@ -82,3 +100,22 @@ def bake(
     )
     for line in details(transfer)[1:]:
         say(line)
+
+
+def _bake_planned(scene: Scene, output: Path, plan: Path, **arguments: Any) -> None:
+    """What a recipe says, and what was predicted of it beside what came of it."""
+    from torchprt.cli.plan import foretold
+    from torchprt.measure import read_recipe, store_recipe
+
+    recipe, predicted = read_recipe(plan)
+    say(f"{plan}: {recipe.name}")
+    start = time.perf_counter()
+    transfer = bake_options.baked(
+        scene, output, store=lambda transfer: store_recipe(transfer, recipe), **recipe.part("bake"), **arguments
+    )
+    for line in details(transfer)[1:]:
+        say(line)
+    if predicted:
+        say(f"predicted: {foretold(predicted)}")
+        achieved = {"bytes": float(transfer.bytes), "seconds": time.perf_counter() - start}
+        say(f"achieved: {foretold(achieved)}")

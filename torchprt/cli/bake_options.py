@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -179,8 +179,18 @@ def scene_of(
     return scene if ground is None else scene.on_ground(height, floor)
 
 
-def baked(scene: Scene, output: Path | None, *, half: bool = False, **arguments: Any) -> Transfer:
-    """The bake of a scene, told of; kept in `output`, and on the way there in a folder beside it, if there is one."""
+def baked(
+    scene: Scene,
+    output: Path | None,
+    *,
+    half: bool = False,
+    store: Callable[[Transfer], Transfer] | None = None,
+    **arguments: Any,
+) -> Transfer:
+    """The bake of a scene, told of; kept in `output`, and on the way there in a folder beside it, if there is one.
+
+    `store`: what is made of it before it is kept.
+    """
     import torch
 
     from torchprt.transfer import save
@@ -194,6 +204,8 @@ def baked(scene: Scene, output: Path | None, *, half: bool = False, **arguments:
         transfer = bake(scene, checkpoint=folder, keep=True, **arguments)
         if half:
             transfer = transfer.to(torch.float16)
+        if store is not None:
+            transfer = store(transfer)
         if output is not None:
             save(transfer, output)
     except KeyboardInterrupt:

@@ -23,6 +23,7 @@ from torchprt.cli.info import info
 from torchprt.cli.lay import lay
 from torchprt.cli.light import light
 from torchprt.cli.patch import patch
+from torchprt.cli.plan import plan
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
 from torchprt.cli.report import answer, complain, unheard
@@ -44,6 +45,7 @@ VERBS: tuple[Callable[..., None], ...] = (
     info,
     tradeoff,
     compress,
+    plan,
     fit,
     patch,
     lay,

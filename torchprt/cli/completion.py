@@ -11,7 +11,7 @@ from typing import Annotated, get_args
 
 from typer.models import OptionInfo
 
-from torchprt.cli import environments, options, picture_options
+from torchprt.cli import environments, options, picture_options, plan
 
 # By the name of the parameter, after that of the verb where verbs differ. After all other options shells offer files.
 WORDS: dict[str, Sequence[str]] = {
@@ -22,9 +22,11 @@ WORDS: dict[str, Sequence[str]] = {
     "export eye": ("point", "direction"),
     "export pose": ("frames", "positions"),
     "frame": options.FRAMES,
+    "least": plan.LEAST,
     "method": options.METHODS,
     "projection": options.PROJECTIONS,
     "export source": ("light", "environment"),
+    "runtime": plan.RUNTIMES,
     "show": ("radiance", "sight"),
     "tone": picture_options.TONES,
     "window": options.WINDOWS,

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 # Edge of a picture in pixels: its rays take 200 bytes each.
 LARGEST = 4096
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
+# As `torchprt.light.WINDOWS`, which this must not import: --help would wait for torch.
+WINDOWS = ("none", "hann", "lanczos", "gauss", "least", "auto")
 FRAMES = ("exit", "incident", "visibility")
 METHODS = ("iterative", "adaptive", "static", "pca", "vq")
 PROJECTIONS = ("optimal", "reduced", "zero", "odd", "even")
@@ -201,18 +202,17 @@ def positions(path: Path) -> Tensor:
 
 
 def windowed(coefficients: Tensor, name: str) -> Tensor:
-    """The light under one of `WINDOWS`; what the automatic one leaves is told."""
-    from torchprt import sh
+    """The light under one of `WINDOWS`; what those leave that depend on the light is told."""
+    from torchprt import light, sh
 
-    order = math.isqrt(len(coefficients))
-    if name == "none":
-        return coefficients
+    factors = light.window_factors(coefficients, name)
+    left = f"{float(factors[-1]):.0%} of the highest band"
+    if name == "least":
+        say(f"the least window that keeps the light positive leaves {left}")
     if name == "auto":
-        least, kept = sh.least_window(coefficients)
-        say(f"the least window that keeps the light positive leaves {float(kept[-1]):.0%} of the highest band")
-        return least
-    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(coefficients, chosen(order, dtype=coefficients.dtype))
+        weak = f"the least window that keeps what it lights positive leaves {left}"
+        say("no window: nothing that this light shines on turns negative" if bool((factors == 1).all()) else weak)
+    return sh.window(coefficients, factors)
 
 
 def colour(text: str, option: str, other: str = "") -> float | tuple[float, ...]:

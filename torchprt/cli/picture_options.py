@@ -40,7 +40,8 @@ Rotate = Annotated[str, typer.Option(help="Turns the environment: YAW, or YAW,PI
 Window = Annotated[
     str | None,
     typer.Option(
-        help="Against ringing: none, hann, lanczos, gauss or auto.", show_default="none; auto for built-in lights"
+        help="Against ringing: none, hann, lanczos, gauss, least or auto.",
+        show_default="none; least for built-in lights",
     ),
 ]
 ShowEnvironment = Annotated[bool, typer.Option("--background", help="Show the environment behind the model.")]

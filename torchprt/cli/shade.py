@@ -99,12 +99,8 @@ def shade(
         say(f"{dark} of {count(len(radiance), 'vertex')} without a normal read 0")
     negative = int((radiance < 0).any(-1).sum())
     if negative:
-        fault = "the light rings at this order, --window auto takes that away"
-        if seen:
-            fault = "the light and the gloss ring at their orders, --window auto takes away what the light does"
-        least = float(radiance.min())
         share = f"{negative} of {count(len(radiance), 'vertex')}"
-        say(f"negative radiance at {share}, down to {least:.3g}: {fault}")
+        say(f"negative radiance at {share}, down to {float(radiance.min()):.3g}: {_why_negative(window, bool(seen))}")
     model = loaded.without_ground()
     if ends in (".ply", ".glb") and model is not loaded:
         loaded, radiance = model, radiance[~loaded.receivers.ground()]
@@ -140,3 +136,13 @@ def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None)
         )
     say("seen by the camera of the picture, from ({:.3g}, {:.3g}, {:.3g})".format(*camera.eye))
     return {"eye": torch.tensor(camera.eye, dtype=torch.float64)}
+
+
+def _why_negative(window: str | None, glossy: bool) -> str:
+    if glossy:
+        mended = "" if window == "least" else ", --window least takes away what the light does"
+        return f"the light and the gloss ring at their orders{mended}"
+    if window == "least":
+        return "the light does not ring under this window, the transfer does"
+    mended = "least takes that away" if window == "auto" else "auto takes nearly all of that away"
+    return f"the light rings at this order, --window {mended}"

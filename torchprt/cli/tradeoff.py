@@ -41,9 +41,9 @@ def tradeoff(
         typer.Option(help="A point X,Y,Z that sees it (repeatable).", show_default="the camera of pictures"),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A third of the recipes.")] = False,
-    cache: Annotated[
+    keep: Annotated[
         Path | None,
-        typer.Option(help="Folder that keeps what is measured.", show_default="~/.cache/torchprt/tradeoff"),
+        typer.Option("--cache", help="Folder that keeps what is measured.", show_default="~/.cache/torchprt/tradeoff"),
     ] = None,
     order: Annotated[
         int | None,
@@ -97,7 +97,7 @@ def tradeoff(
     wanted = order or default_order(opened)
     known = {name: light_of(each, wanted, repair) for name, each in zip(_names(lights), lights, strict=True)}
     more: dict[str, Any] = {} if rays is None else {"rays": rays}
-    folder = default_folder() if cache is None else cache
+    folder = default_folder() if keep is None else keep
     try:
         found = tradeoff(
             opened,
@@ -105,7 +105,7 @@ def tradeoff(
             _eyes(points),
             order=wanted,
             quick=quick,
-            cache=folder,
+            keep=folder,
             threads=threads,
             name=" and ".join(each.name for each in source),
             **more,

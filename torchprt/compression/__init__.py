@@ -3,7 +3,7 @@
 from .bilinear import fit_bilinear
 from .clusters import vector_quantise
 from .coherence import make_coherent, overdraw
-from .compress import compress
+from .compress import compress, foretell
 from .cpca import ClusteredPca, clustered_pca
 from .expected_light import light_importance, natural_light_importance
 from .lobes import Lobes, fit_lobes
@@ -25,6 +25,7 @@ __all__ = [
     "fit",
     "fit_bilinear",
     "fit_lobes",
+    "foretell",
     "light_importance",
     "linear_axis",
     "lobe_coefficients",

@@ -100,6 +100,26 @@ def compress(
     return transfer.with_layers(**{name: chosen.replace(signal=made)})
 
 
+def foretell(
+    transfer: Transfer,
+    points: int,
+    *,
+    layer: str | None = None,
+    method: Method = "iterative",
+    bits: int = 32,
+    seed: int = 0,
+) -> list[Sizes]:
+    """The sizes that `compress` seeks among, where `transfer` is a sample of `points` receivers of its layer.
+
+    Their bytes are those of the layer of all receivers, exact; their errors, relative RMS, are expected ones.
+    Raises InputError as `compress`.
+    """
+    _, _, whole = layer_to_compress(transfer, layer)
+    signal = numbers_of(whole)
+    limit = 4 * points * signal.shape[1]
+    return candidates(signal, limit, method=method, bits=bits, seed=seed, passes=Passes(), points=points)
+
+
 def _sought(
     dense: Dense,
     faces: Int[Tensor, "F 3"],

@@ -70,17 +70,19 @@ def candidates(
     seed: int,
     passes: Passes,
     importance: Tensor | None = None,
+    points: int | None = None,
 ) -> list[Sizes]:
     """Every size that is sought among, its error foretold from a sample of points.
 
-    `signal [V, S]`; sizes of more than `limit` bytes are foretold less well, or left out. Shared axes are sought where
-    a point has more numbers than there are dimensions that clusters are sought in. Raises InputError as
-    `clustered_pca`.
+    `signal [V, S]`, all points or a sample that stands for so many `points`; sizes of more than `limit` bytes are
+    foretold less well, or left out. Shared axes are sought where a point has more numbers than there are dimensions
+    that clusters are sought in. Raises InputError as `clustered_pca`.
     """
     check(signal, 1, 1)
-    points, numbers = signal.shape
+    numbers = signal.shape[1]
+    points = len(signal) if points is None else points
     wide = numbers > DIMENSIONS
-    sample = signal[:: -(-points // (_WIDE_SAMPLE if wide else _SAMPLE))]
+    sample = signal[:: -(-len(signal) // (_WIDE_SAMPLE if wide else _SAMPLE))]
     found: list[Sizes] = []
     with torch.no_grad(), one_thread():
         root = None if importance is None else root_of(importance, signal)

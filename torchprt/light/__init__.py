@@ -10,9 +10,11 @@ from .image import read, read_with_report
 from .sky import clear_sky, clear_sky_radiance, overcast_sky
 from .studio import studio
 from .sun import sun_radiance
+from .windowed import WINDOWS, window_factors, windowed
 
 __all__ = [
     "BUILT_IN",
+    "WINDOWS",
     "DamagedImageWarning",
     "ImageReport",
     "built_in",
@@ -34,5 +36,7 @@ __all__ = [
     "sphere",
     "studio",
     "sun_radiance",
+    "window_factors",
+    "windowed",
     "write_coefficients",
 ]

@@ -25,9 +25,11 @@ def dominant(light: Float[Tensor, "*B N 3"]) -> tuple[Float[Tensor, "*B 3"], Flo
     else:
         luminance = light @ torch.tensor(_LUMINANCE, dtype=light.dtype, device=light.device)
         vector = torch.stack([-luminance[..., 3], -luminance[..., 1], luminance[..., 2]], -1)
-    length = torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=light.dtype, device=light.device)
-    direction = torch.where(length > 0, vector / torch.where(length > 0, length, 1.0), up)
+    # Squares of very dim and very bright lights leave the range of floats.
+    largest = vector.detach().abs().amax(-1, keepdim=True)
+    scaled = torch.where(largest > 0, vector / torch.where(largest > 0, largest, 1.0), up)
+    direction = scaled / torch.linalg.vector_norm(scaled, dim=-1, keepdim=True)
     lamp = directional(direction, order=order)
     radiance = (lamp * light).sum(-2) / (lamp * lamp).sum(-2)
     return direction, radiance.clamp(min=0)

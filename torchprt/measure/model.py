@@ -5,15 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt import compression, sh
+from torchprt import compression
 from torchprt.errors import InputError
 from torchprt.files import temporary_folder
+from torchprt.light import windowed
 from torchprt.measure.recipe import Recipe
 from torchprt.progress import Report
 from torchprt.scene import Scene
@@ -51,6 +52,7 @@ def store_recipe(transfer: Transfer, recipe: Recipe, report: Report | None = Non
             layer=layer,
             clusters=recipe.clusters,
             components=recipe.components,
+            shared=recipe.shared,
             bits=recipe.bits or 32,
             report=report,
         )
@@ -67,16 +69,6 @@ def light_under(recipe: Recipe, light: Float[Tensor, "*B N 3"]) -> Float[Tensor,
     if light.shape[-2] < recipe.order**2:
         raise InputError(f"light has {light.shape[-2]} coefficients: order {recipe.order} has {recipe.order**2}")
     return windowed(light[..., : recipe.order**2, :], recipe.window)
-
-
-def windowed(light: Float[Tensor, "*B N 3"], name: str) -> Float[Tensor, "*B N 3"]:
-    """The light under the window of that name, one of `recipe.WINDOWS`."""
-    if name == "none":
-        return light
-    if name == "auto":
-        return sh.least_window(light)[0]
-    made = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(light, made(sh.order_of(light.shape[-2]), dtype=light.dtype))
 
 
 def frame_of(
@@ -129,7 +121,9 @@ def _graph(transfer: Transfer) -> Runner:
     from torchprt.onnx import export
 
     by_eye = "eye" in transfer.needs
-    pose: Any = None if "pose" not in transfer.needs else "positions" if by_eye else "frames"
+    pose: Literal["frames", "positions"] | None = None
+    if "pose" in transfer.needs:
+        pose = "positions" if by_eye else "frames"
     with temporary_folder() as folder:
         path = Path(folder) / "model.onnx"
         export(transfer, path, check=False, pose=pose)

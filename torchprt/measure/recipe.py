@@ -12,12 +12,12 @@ from typing import Any, ClassVar, Literal
 
 from torchprt.errors import InputError
 from torchprt.files import write
+from torchprt.light import WINDOWS
 from torchprt.scene.toml_file import read_toml
 
 Runtime = Literal["eager", "compiled", "onnx"]
 StoredType = Literal["float32", "float16", "bfloat16"]
 
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
 FRAMES = ("exit", "visibility")
 TYPES = ("float32", "float16", "bfloat16")
 RUNTIMES = ("eager", "compiled", "onnx")
@@ -29,8 +29,9 @@ class Recipe:
 
     What is baked: `order`, `rays`, `bounces`, `shadows` (False: the closed form, without rays), and for glossy scenes
     `frame` with `output_order` (exit) or `visibility_order` (visibility), or `factors`, as the arguments of `bake`.
-    What of the light is used: its first `order` bands under a `window`, one of `WINDOWS`.
-    How it is stored: `clusters` with `components` and `bits` of clustered PCA, or `lobes`, or dense; in `dtype`.
+    What of the light is used: its first `order` bands under a `window`, one of `light.WINDOWS`.
+    How it is stored: `clusters` with `components`, `bits` and perhaps `shared` axes of clustered PCA, or `lobes`, or
+    dense; in `dtype`.
     How it runs: `runtime`; `adaptive`, the threshold of adaptive shading; `dtype` "bfloat16" is also what products are
     made in, the others are shaded in float32.
     Raises InputError for a number out of range, an unknown word, and what does not go together.
@@ -47,6 +48,7 @@ class Recipe:
     window: str = "none"
     clusters: int | None = None
     components: int | None = None
+    shared: int | None = None
     bits: int | None = None
     lobes: int | None = None
     dtype: StoredType = "float32"
@@ -57,13 +59,13 @@ class Recipe:
     TABLES: ClassVar[dict[str, tuple[str, ...]]] = {
         "bake": ("order", "rays", "bounces", "shadows", "frame", "output_order", "visibility_order", "factors"),
         "light": ("window",),
-        "store": ("clusters", "components", "bits", "lobes", "dtype"),
+        "store": ("clusters", "components", "shared", "bits", "lobes", "dtype"),
         "run": ("adaptive", "runtime"),
     }
 
     def __post_init__(self) -> None:
         least = {"order": 1, "rays": 1, "bounces": 0, "output_order": 1, "visibility_order": 1, "factors": 1}
-        least |= {"clusters": 1, "components": 0, "lobes": 1}
+        least |= {"clusters": 1, "components": 0, "shared": 1, "lobes": 1}
         for name, low in least.items():
             value = getattr(self, name)
             if value is None:
@@ -88,6 +90,7 @@ class Recipe:
             "clusters and lobes": self.clusters is not None and self.lobes is not None,
             "clusters without components": (self.clusters is None) != (self.components is None),
             "bits without clusters": self.bits is not None and self.clusters is None,
+            "shared axes without clusters": self.shared is not None and self.clusters is None,
             "bounces without shadows": self.bounces > 0 and not self.shadows,
             "bounces of frame visibility": self.bounces > 0 and self.frame == "visibility",
             "output_order without frame exit": self.output_order is not None and self.frame != "exit",
@@ -114,7 +117,7 @@ class Recipe:
 
     @property
     def name(self) -> str:
-        """In one line, what differs from the plainest left out: "order 5, 256 rays, 2 bounces, 64 x 8 x 8 bit, onnx"."""
+        """In one line, without what is the plainest: "order 5, 256 rays, 2 bounces, 64 x 8 x 8 bit, onnx"."""
         said = [f"order {self.order}"]
         said.append(f"{self.rays} rays" if self.shadows else "unshadowed")
         if self.bounces:
@@ -127,7 +130,8 @@ class Recipe:
         if self.window != "none":
             said.append(self.window)
         if self.clusters is not None:
-            said.append(f"{self.clusters} x {self.components} x {self.bits or 32} bit")
+            axes = "" if self.shared is None else f" in {self.shared} axes"
+            said.append(f"{self.clusters} x {self.components} x {self.bits or 32} bit{axes}")
         if self.lobes is not None:
             said.append("1 lobe" if self.lobes == 1 else f"{self.lobes} lobes")
         if self.dtype != "float32":

@@ -44,8 +44,9 @@ def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, In
 def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[Tensor, "v"], Int64[Tensor, "v"]]:
     """A scene of the same shadows in which little more than `count` receivers record, with the materials they have.
 
-    As `sample_receivers`, drawn from all receivers, diffuse and glossy, fronts and reverse sides, each with its albedo
-    and its gloss. Gives the scene, the numbers of the chosen receivers in it, and those in `scene`, in the same order.
+    As `sample_receivers`, but of all receivers, diffuse and glossy, fronts and reverse sides, each with its albedo and
+    its gloss; and one is drawn of each of `count` runs of them, because those that follow each other in a mesh are
+    alike. Gives the scene, the numbers of the chosen receivers in it, and those in `scene`, in the same order.
     For shadows alone: other surfaces are black where rays hit them. Raises InputError if `count` is below 1 or there
     are fewer receivers that have a normal and a face, and for translucent surfaces, whose sides need each other.
     """
@@ -57,7 +58,9 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
     usable = torch.nonzero((face >= 0) & (geometry.receiver_normals != 0).any(-1))[:, 0]
     if not 1 <= count <= len(usable):
         raise InputError(f"count is {count}: the scene has {len(usable)} receivers, give a number up to that")
-    chosen = usable[_drawn(len(usable), count, seed)]
+    runs = torch.arange(count + 1) * len(usable) // count
+    within = torch.rand(count, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    chosen = usable[runs[:-1] + (within * (runs[1:] - runs[:-1])).long()]
     place = torch.full((geometry.receivers,), -1)
     place[geometry.glossy] = torch.arange(len(geometry.glossy))
     gloss = torch.full((geometry.receivers,), -1)
@@ -76,7 +79,25 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
         rows.append(torch.searchsorted(used, wanted) + sum(len(each.mesh.positions) for each in objects))
         numbers.append(wanted)
         objects.append(_recording(geometry, used, faces, material))
-    return Scene([*objects, _blocking(geometry)]), torch.cat(rows), torch.cat(numbers)
+    among = torch.cat(numbers)
+    ascending = among.argsort()
+    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)[ascending], among[ascending]
+
+
+def receivers_of(transfer: Transfer, chosen: Int64[Tensor, "v"]) -> Transfer:
+    """The transfer of those of its receivers alone that `chosen` numbers, each once, in that order, without faces."""
+    place = torch.full((transfer.vertices,), -1)
+    place[chosen] = torch.arange(len(chosen))
+    layers = {}
+    for name, layer in transfer.layers.items():
+        places = place[layer.index(transfer.vertices).long()]
+        kept = torch.nonzero(places >= 0)[:, 0]
+        kept = kept[places[kept].argsort()]
+        layers[name] = layer.take(kept, places[kept])
+    vertices = Vertices(
+        positions=transfer.positions[chosen], normals=transfer.normals[chosen], faces=transfer.faces[:0]
+    )
+    return dataclasses.replace(transfer, receivers=vertices, layers=layers)
 
 
 def sample_transfer(transfer: Transfer, chosen: Int[Tensor, "g"]) -> Transfer:

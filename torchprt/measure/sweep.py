@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torchprt.light import WINDOWS
 from torchprt.measure.recipe import Recipe
 
 ORDERS = (2, 3, 4, 5, 6, 8, 10, 12, 14)
 # The orders at which other factors are tried too: few bands, those of most bakes, many.
 CROSSED = (3, 5, 8)
 RAYS = (16, 64, 256, 1024)
-WINDOWS = ("hann", "lanczos", "gauss", "auto")
 CLUSTERS = ((64, 8), (256, 4), (256, 8), (256, 16))
 _WIDE = (256, 8)
 LOBES = (1, 2, 3)
@@ -82,7 +82,7 @@ def _orders(choice: Choice, quick: bool) -> list[Recipe]:
 
 
 def _windowed(choice: Choice) -> list[Recipe]:
-    return [each.replace(window=window) for each in _at(choice, False) for window in WINDOWS]
+    return [each.replace(window=window) for each in _at(choice, False) for window in WINDOWS if window != "none"]
 
 
 def _narrow(choice: Choice) -> tuple[str, ...]:

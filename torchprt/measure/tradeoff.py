@@ -77,7 +77,7 @@ def tradeoff(
     rays: int = RAYS,
     recipes: Sequence[Recipe] | None = None,
     quick: bool = False,
-    cache: str | os.PathLike[str] | None = None,
+    keep: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: bool | Report = True,
     name: str = "",
@@ -90,7 +90,7 @@ def tradeoff(
     - `eyes`: where pictures are seen from, and for what glossy surfaces are shaded; the usual camera if omitted.
     - `recipes`: which to try, the first being what others are compared with; those of `sweep` if omitted, fewer of
       them if `quick`.
-    - `cache`: a folder that keeps bakes and measurements by what they are of; `torchprt/tradeoff` in XDG_CACHE_HOME
+    - `keep`: a folder that keeps bakes and measurements by what they are of; `torchprt/tradeoff` in XDG_CACHE_HOME
       or `~/.cache` if omitted. What it holds is not measured again, whatever the sweep; a sweep that is stopped goes
       on from there.
     - `threads` of bakes. Frames are timed on one thread.
@@ -98,13 +98,13 @@ def tradeoff(
     eyes, by what the recipe runs: in its types and its runtime.
 
     Raises InputError without lights, if one has too few bands, if recipes ask for more than the reference has, if a
-    bake leaves its reflectance open, as `bake`, `compress` and `fit`, without flip-evaluator, and if the cache cannot
+    bake leaves its reflectance open, as `bake`, `compress` and `fit`, without flip-evaluator, and if the folder cannot
     be written; KeyboardInterrupt with all that was measured kept.
     """
     if not lights:
         raise InputError("a sweep needs a light: give one or more")
     check_flip()
-    kept = Kept(default_folder() if cache is None else cache)
+    kept = Kept(default_folder() if keep is None else keep)
     subject: Subject
     if isinstance(source, Scene):
         order = order or default_order(source)

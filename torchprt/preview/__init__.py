@@ -5,7 +5,7 @@ from .asset_light import keep_light, save_lit_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
-from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along, windowed
+from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along
 from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
@@ -67,5 +67,4 @@ __all__ = [
     "strip",
     "subject",
     "tone_map",
-    "windowed",
 ]

@@ -12,10 +12,8 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
-from torchprt.light import built_in, project
+from torchprt.light import built_in, project, windowed
 
-WINDOWS = ("none", "hann", "lanczos", "gauss", "auto")
-"""Against ringing."""
 PANORAMA = 256
 """Rows of a built-in light."""
 ROWS = 64
@@ -35,25 +33,13 @@ class Environment:
     image: Float[Tensor, "H W 3"] | None = None
 
 
-def built_in_environment(name: str, order: int, window: str = "auto") -> Environment:
-    """One of `light.BUILT_IN` at `order`, under the least window that keeps it positive, or another of `WINDOWS`.
+def built_in_environment(name: str, order: int, window: str = "least") -> Environment:
+    """One of `light.BUILT_IN` at `order`, under the least window that keeps it positive, or another of `light.WINDOWS`.
 
     Raises InputError for an unknown name or window.
     """
     image = built_in(name, PANORAMA)
     return Environment(name, windowed(project(image, order), window), image)
-
-
-def windowed(light: Float[Tensor, "N 3"], name: str) -> Float[Tensor, "N 3"]:
-    """The light under one of `WINDOWS`, made for all its bands. Raises InputError for any other name."""
-    if name not in WINDOWS:
-        raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
-    if name == "none":
-        return light
-    if name == "auto":
-        return sh.least_window(light)[0]
-    chosen = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name]
-    return sh.window(light, chosen(math.isqrt(len(light)), dtype=light.dtype))
 
 
 def automatic_exposure(light: Float[Tensor, "N 3"]) -> float:

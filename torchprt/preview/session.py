@@ -11,10 +11,11 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.light import WINDOWS, windowed
 from torchprt.preview import modes
 from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
-from torchprt.preview.environment import WINDOWS, Environment, automatic_exposure, photograph, windowed
+from torchprt.preview.environment import Environment, automatic_exposure, photograph
 from torchprt.preview.error_colours import error_colours
 from torchprt.preview.ground import opacity, subject
 from torchprt.preview.lobe import Lobe, lobe

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.sh.constant import remembered
-from torchprt.sh.precision import at_least_single, without_autocast
+from torchprt.sh.precision import at_least_single, whole_rotation, without_autocast
 
 # From here on the recurrence runs in float64 even for float32 input.
 _LAST_FLOAT32_ORDER = 20
@@ -20,7 +20,7 @@ def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float
 
     Laws: D(A B) = D(A) D(B), D(R^T) = D(R)^T. Polynomial in the nine numbers of `rotation`, so there is no
     gimbal case and gradients are right everywhere, the identity included. float32 input above order 20 is
-    computed in float64 and rounded once at the end.
+    computed in float64 and rounded once at the end; a rotation of a narrow type is brought back to the nearest one.
 
     Raises InputError if `order` is below 1. `rotation` is not checked (see `check_rotation`).
     Source: Ivanic and Ruedenberg 1996, "Rotation matrices for real spherical harmonics", with the 1998
@@ -31,7 +31,7 @@ def rotation_bands(rotation: Float[Tensor, "*B 3 3"], order: int) -> tuple[Float
     dtype = rotation.dtype
     exact = at_least_single(dtype) if order <= _LAST_FLOAT32_ORDER else torch.float64
     # Rotations last: every band is then one matrix product with a constant on the left.
-    turn = rotation.reshape(-1, 3, 3).movedim(0, -1).to(exact)
+    turn = whole_rotation(rotation).reshape(-1, 3, 3).movedim(0, -1).to(exact)
     bands = [torch.ones_like(turn[:1, :1])]
     for l in range(1, order):
         couple, inner, outer = _coupling(rotation.device, l, exact)

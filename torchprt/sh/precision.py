@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
@@ -22,6 +23,22 @@ def at_least_single(dtype: torch.dtype) -> torch.dtype:
 def widened(values: Tensor) -> Tensor:
     """`values` in float32, or as they are if they are wider."""
     return values.to(at_least_single(values.dtype))
+
+
+def whole_rotation(rotation: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 3 3"]:
+    """`rotation` in float32 at least; one that was rounded to a narrow type as the nearest rotation, to 1e-8.
+
+    Source: Higham 2008, "Functions of matrices", section 8.3 (two steps of Newton and Schulz's iteration: what is off
+    by e is then off by e^4).
+    """
+    wide = widened(rotation)
+    if wide.dtype == rotation.dtype:
+        return rotation
+    for _ in range(2):
+        gram = (wide.unsqueeze(-1) * wide.unsqueeze(-2)).sum(-3)
+        # `wide @ gram`, without the overhead and the autocast of products of 3x3.
+        wide = 1.5 * wide - 0.5 * (wide.unsqueeze(-1) * gram.unsqueeze(-3)).sum(-2)
+    return wide
 
 
 def without_autocast(function: F) -> F:

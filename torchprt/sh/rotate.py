@@ -10,7 +10,7 @@ from torchprt.errors import InputError
 from torchprt.sh.basis import bands, basis, only_values_are_wanted, order_of, values_are_at_hand
 from torchprt.sh.constant import remembered
 from torchprt.sh.euler import turn_by_euler
-from torchprt.sh.precision import KeepsSingle, at_least_single, widened, without_autocast
+from torchprt.sh.precision import KeepsSingle, at_least_single, whole_rotation, widened, without_autocast
 from torchprt.sh.quadrature import LARGEST_LEBEDEV_DEGREE, gauss_legendre, lebedev
 
 
@@ -90,22 +90,6 @@ def check_rotation(rotation: Float[Tensor, "*B 3 3"], name: str = "rotation") ->
         raise InputError(f"{name} must be orthogonal within {within}: remove scale and shear, and non-finite values")
     if not bool((torch.linalg.cross(rows[0], rows[1], dim=0) * rows[2]).sum(0).gt(0).all()):
         raise InputError(f"{name} holds a reflection (determinant -1): give a proper rotation")
-
-
-def whole_rotation(rotation: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 3 3"]:
-    """`rotation` in float32 at least; one that was rounded to a narrow type as the nearest rotation, to 1e-8.
-
-    Source: Higham 2008, "Functions of matrices", section 8.3 (two steps of Newton and Schulz's iteration: what is off
-    by e is then off by e^4).
-    """
-    wide = widened(rotation)
-    if wide.dtype == rotation.dtype:
-        return rotation
-    for _ in range(2):
-        gram = (wide.unsqueeze(-1) * wide.unsqueeze(-2)).sum(-3)
-        # `wide @ gram`, without the overhead and the autocast of products of 3x3.
-        wide = 1.5 * wide - 0.5 * (wide.unsqueeze(-1) * gram.unsqueeze(-3)).sum(-2)
-    return wide
 
 
 def yaw_pitch_roll(degrees: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:

@@ -57,8 +57,13 @@ def window(light: Float[Tensor, "*#B N C"], factors: Float[Tensor, "*#B n"]) -> 
 
 
 @without_autocast
-def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"], Float[Tensor, "*B n"]]:
+def least_window(
+    light: Float[Tensor, "*B N C"], kernel: Float[Tensor, " n"] | None = None
+) -> tuple[Float[Tensor, "*B N C"], Float[Tensor, "*B n"]]:
     """The light under the weakest Gaussian window that leaves it nowhere negative, and its factors.
+
+    With a `kernel` (band coefficients A_l, as of `convolve`) it is the light convolved with it that is nowhere
+    negative: with `phong(k, n)` whatever gathers the light in a lobe cos^k or a wider one.
 
     One window a light, the same for all channels, so colours keep. Because the Gaussian is a positive kernel
     the least value grows with its strength, so bisection finds the weakest. A light that is non-negative
@@ -67,8 +72,8 @@ def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"
     looked for in float64 on 64 N directions and closed in on from the 8 lowest valleys among them.
     No gradient flows through the choice of the window. Sets up a light: not for every frame.
 
-    Raises InputError if N is not a square number or, outside a traced graph and torch.func, a value is not finite or
-    the mean of a channel is negative, which no window mends.
+    Raises InputError if N is not a square number, the kernel does not have one coefficient a band or, outside a traced
+    graph and torch.func, a value is not finite or the mean of a channel is negative, which no window mends.
     """
     order = order_of(light.shape[-2])
     seen = values_are_at_hand(light)
@@ -80,6 +85,8 @@ def least_window(light: Float[Tensor, "*B N C"]) -> tuple[Float[Tensor, "*B N C"
     tolerance = 4 * order * torch.finfo(light.dtype).eps
     l = torch.arange(order, dtype=torch.float64, device=light.device)
     exponent = l * (l + 1) / 2
+    if kernel is not None:
+        exact = convolve(exact, kernel.detach())
 
     def is_non_negative(factors: Tensor, tolerance: float) -> Tensor:
         least, largest = _least_and_largest(convolve(exact, factors))

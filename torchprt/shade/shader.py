@@ -13,8 +13,7 @@ from torchprt.errors import InputError
 from torchprt.pose import DeformedFrames
 from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
-from torchprt.sh.precision import at_least_single
-from torchprt.sh.rotate import whole_rotation
+from torchprt.sh.precision import at_least_single, whole_rotation
 from torchprt.shade.fixed_light import FixedLightShader
 from torchprt.shade.layer import DiffuseLayer, LayerModule, layer_module
 from torchprt.shade.signal import Making, signal_module

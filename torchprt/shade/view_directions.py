@@ -9,6 +9,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.sh import check_rotation, to_horizon
 from torchprt.sh.basis import values_are_at_hand
+from torchprt.sh.precision import widened
 
 
 def local_frames(
@@ -33,7 +34,7 @@ def toward_eye(
     """World directions toward the eye, of any length, `[3, *B, G]`; G = 1 for `view`, one direction for all receivers.
 
     Batches of `points`, one for each pose, and of eyes broadcast.
-    Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
+    Narrow ones are used in float32. Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
     are finite and `view` is not zero.
     """
     if (eye is None) == (view is None):
@@ -48,7 +49,7 @@ def toward_eye(
             raise InputError(f"{name} holds NaN or infinity: give finite numbers")
         if view is not None and not bool(value.abs().amax(-1).gt(0).all()):
             raise InputError("view is a zero vector: give a direction from the surface toward the eye")
-    lanes = value.movedim(-1, 0).unsqueeze(-1)
+    lanes = widened(value).movedim(-1, 0).unsqueeze(-1)
     if eye is not None:
         batch = max(lanes.ndim, points.ndim) - 2
         lanes, points = (part.reshape(3, *(1,) * (batch - part.ndim + 2), *part.shape[1:]) for part in (lanes, points))

@@ -14,7 +14,14 @@ const labels = {
   filmic: "Filmic",
   none: "None",
 };
-const windows = { none: "None", hann: "Hann", lanczos: "Lanczos", gauss: "Gauss", auto: "As little as helps" };
+const windows = {
+  none: "None",
+  hann: "Hann",
+  lanczos: "Lanczos",
+  gauss: "Gauss",
+  least: "Nothing negative",
+  auto: "As little as helps",
+};
 
 export const megabytes = (bytes) => `${(bytes / 2 ** 20).toFixed(bytes < 2 ** 20 ? 2 : 1)} MB`;
 export const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1];

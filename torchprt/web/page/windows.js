@@ -1,7 +1,7 @@
 // Windows against ringing, as torchprt.sh: a factor a band, and the weakest one that leaves no negative radiance.
 import { basis } from "./sh.js";
 
-export const WINDOWS = ["none", "hann", "lanczos", "gauss", "auto"];
+export const WINDOWS = ["none", "hann", "lanczos", "gauss", "least", "auto"];
 
 // The search for the lowest value: directions a coefficient, valleys followed, and how each is closed in on.
 const [DENSITY, VALLEYS, STEPS, SHRINK, BISECTIONS] = [64, 8, 12, 0.4, 30];
@@ -16,8 +16,17 @@ const factor = {
 
 /** `light`, N x 3 of which `order` bands are left, under one of `WINDOWS` made for these bands. */
 export function windowed(light, order, name) {
-  const factors = name === "auto" ? leastWindow(light, order) : bands(order, (l) => factor[name](l, order));
-  return scaled(light, factors);
+  if (name === "least") return scaled(light, leastWindow(light, order));
+  // What is gathered in the narrowest lobe that shadowed receivers have.
+  if (name === "auto") return scaled(light, leastWindow(light, order, phong(order ** 2 / 3, order)));
+  return scaled(light, bands(order, (l) => factor[name](l, order)));
+}
+
+/** The band coefficients of the lobe cos^k, 1 in band 0. */
+function phong(k, order) {
+  const factors = [1, (k + 1) / (k + 2)];
+  for (let l = 0; l < order - 2; l++) factors.push((factors[l] * (k - l)) / (k + l + 3));
+  return factors.slice(0, order);
 }
 
 const bands = (order, of) => Array.from({ length: order }, (_, l) => of(l));
@@ -31,14 +40,14 @@ function scaled(light, factors) {
 }
 
 /**
- * The factors of the weakest Gaussian that leaves the light nowhere negative, one window for all channels; ones if it
- * is so already. Throws if the mean of a channel is negative, which no window mends.
+ * The factors of the weakest Gaussian that leaves the light, convolved with `kernel` if there is one, nowhere negative:
+ * one window for all channels; ones if it is so already. Throws if the mean of a channel is negative, which no window mends.
  */
-export function leastWindow(light, order) {
+export function leastWindow(light, order, kernel = bands(order, () => 1)) {
   if (light.slice(0, 3).some((mean) => mean < 0)) {
     throw new Error("this light has a channel whose mean is negative, which no window mends");
   }
-  const exact = Float64Array.from(light.slice(0, 3 * order * order));
+  const exact = scaled(Float64Array.from(light.slice(0, 3 * order * order)), kernel);
   const set = searchSet(order);
   const gauss = (base) => bands(order, (l) => base ** ((l * (l + 1)) / 2));
   const nonNegative = (factors, tolerance) => {
