@@ -75,21 +75,25 @@ def table(found: Tradeoff) -> Table:
     return made
 
 
-def thumbnails(found: Tradeoff) -> torch.Tensor:
+def thumbnails(found: Tradeoff, most: int | None = None) -> torch.Tensor:
     """The reference and the points of the fronts under the first light, each beside a map of its error, `[I, J, 3]`.
 
-    The scale of the maps is one for all; its end stands with the reference.
+    The scale of the maps is one for all; its end stands with the reference. `most`: so many points at most, spread
+    over the fronts.
     """
     scale = found.wanted.double().square().mean().sqrt()
-    shown = [(point, found.radiance(point)) for point in found.fronts()]
-    errors = [(radiance - found.wanted).double().square().mean(-1).sqrt() / scale for _, radiance in shown]
+    points = list(enumerate(found.fronts(), 1))
+    if most is not None and len(points) > most:
+        points = [points[round(place * (len(points) - 1) / max(1, most - 1))] for place in range(most)]
+    shown = [(number, point, found.radiance(point)) for number, point in points]
+    errors = [(radiance - found.wanted).double().square().mean(-1).sqrt() / scale for _, _, radiance in shown]
     tops = sorted(float(error.quantile(0.99)) if len(error) < 1 << 24 else float(error.max()) for error in errors)
     end = next((each for each in _ENDS if each >= tops[len(tops) // 2]), _ENDS[-1])
     blank = torch.ones_like(found.views.picture(found.wanted))
     pictures = [torch.cat([found.views.picture(found.wanted), blank], 1)]
     light = next(iter(found.lights))
     labels = [f"reference, under {light}; red is an error of {100 * end:g} % and more"]
-    for number, ((point, radiance), error) in enumerate(zip(shown, errors, strict=True), 1):
+    for (number, point, radiance), error in zip(shown, errors, strict=True):
         painted = found.views.painted(error_colours(error.float(), end))
         pictures.append(torch.cat([found.views.picture(radiance), painted], 1))
         costs = f"{percent(point.error)}, {amount('seconds', point.seconds)}, {amount('bytes', point.bytes)}"
