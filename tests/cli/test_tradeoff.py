@@ -1,5 +1,6 @@
 """Does `torchprt tradeoff` say what accuracy costs, refuse before long work, and go on where it was stopped?"""
 
+import importlib
 import shutil
 
 import pytest
@@ -92,3 +93,18 @@ def test_stopped_it_keeps_what_is_measured_and_goes_on(run, folder, tmp_path, mo
     assert run(*given).code == 0
     # The third a second time, the first two not.
     assert len(times) == 4
+
+
+def test_built_in_lights_have_no_window_but_those_that_are_tried(run, folder, tmp_path, monkeypatch):
+    from torchprt import light
+
+    seen = {}
+
+    def looked_at(source, lights, *rest, **options):
+        seen.update(lights)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(importlib.import_module("torchprt.measure.tradeoff"), "tradeoff", looked_at)
+    run("tradeoff", folder / "ball.safetensors", "--light", "sky", "-o", tmp_path / "out")
+    wanted = light.project(light.built_in("sky", 256), 4)
+    assert (seen["sky"] - wanted).abs().max() < 1e-6 * wanted.abs().max()

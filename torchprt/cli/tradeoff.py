@@ -9,7 +9,7 @@ import typer
 
 from torchprt.cli import bake_options, options
 from torchprt.cli.bake_on_the_way import OF_SCENE
-from torchprt.cli.environments import WORDS, light_of
+from torchprt.cli.environments import WORDS, environment_of
 from torchprt.cli.report import answer, complain, say
 from torchprt.errors import InputError
 from torchprt.words import count
@@ -95,13 +95,17 @@ def tradeoff(
     check_flip()
     opened = _opened(source, {**given, "order": order, "rays": rays})
     wanted = order or default_order(opened)
-    known = {name: light_of(each, wanted, repair) for name, each in zip(_names(lights), lights, strict=True)}
+    known = {
+        # Windows are among what is tried.
+        name: environment_of(each, wanted, repair, "none").light.double()
+        for name, each in zip(_names(lights), lights, strict=True)
+    }
     more: dict[str, Any] = {} if rays is None else {"rays": rays}
     folder = default_folder() if keep is None else keep
     try:
         found = tradeoff(
             opened,
-            {name: each.double() for name, each in known.items()},
+            known,
             _eyes(points),
             order=wanted,
             quick=quick,

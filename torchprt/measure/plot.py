@@ -41,12 +41,13 @@ def save_plot(found: Tradeoff, path: str | os.PathLike[str]) -> None:
 
     numbered = {point.recipe: number for number, point in enumerate(found.fronts(), 1)}
     lines = _key(found, numbered)
-    figure = Figure(figsize=(13, 6.2 + 0.17 * len(lines)), layout="constrained", dpi=100)
+    half = (len(lines) + 1) // 2
+    tall = 0.18 * half + 0.1
+    figure = Figure(figsize=(13, 6.2 + tall), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
-    panels, words = figure.subfigures(2, 1, height_ratios=(6.2, 0.17 * len(lines) + 0.1))
+    panels, words = figure.subfigures(2, 1, height_ratios=(6.2, tall))
     for axes, by in zip(panels.subplots(1, 2), COSTS, strict=True):
         _panel(axes, found, by, numbered)
-    half = (len(lines) + 1) // 2
     for column, part in enumerate((lines[:half], lines[half:])):
         place = 0.012 + 0.5 * column
         words.text(place, 0.98, "\n".join(part), va="top", fontsize=8.5, family="DejaVu Sans Mono", linespacing=1.35)
@@ -141,7 +142,9 @@ def _halves(axes: Any, found: Tradeoff, by: Cost) -> None:
         arrow = {"arrowstyle": "->", "color": "#2a9d4a", "linewidth": 2, "shrinkA": 8, "shrinkB": 8}
         axes.annotate("", to, from_, arrowprops=arrow, zorder=4)
     said = str(half).replace("->", "\u2192")
-    axes.set_title("\n".join(textwrap.wrap(said[0].upper() + said[1:], 70)), fontsize=11, loc="left", fontweight="bold")
+    axes.set_title(
+        "\n".join(textwrap.wrap(said[0].upper() + said[1:], 74)), fontsize=10.5, loc="left", fontweight="bold"
+    )
 
 
 def _key(found: Tradeoff, numbered: dict[Recipe, int]) -> list[str]:
