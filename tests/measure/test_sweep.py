@@ -96,4 +96,5 @@ def test_every_factor_is_tried():
     assert {recipe.shadows for recipe in found} == {True, False}
     assert {(recipe.clusters, recipe.components) for recipe in found} >= set(CLUSTERS)
     assert {recipe.lobes for recipe in found} == {None, 1, 2, 3}
+    assert {recipe.adaptive for recipe in found} == {None, 0.005, 0.01, 0.02}
     assert {recipe.bits for recipe in found} == {None, 8, 32}

@@ -158,6 +158,16 @@ def test_what_is_stopped_goes_on(swept, monkeypatch):
     assert sorted(map(str, measured + again)) == sorted(map(str, RECIPES))
 
 
+def test_adaptive_shading_of_no_threshold_is_that_of_all_bands_and_a_threshold_loses_something(swept):
+    whole = Recipe(6, 32)
+    recipes = [whole, whole.replace(adaptive=0.0), whole.replace(adaptive=0.05), whole.replace(adaptive=1e9)]
+    found = swept(given=lights(6), order=6, recipes=recipes)
+    error, same, some, most = [point.error for point in found.points]
+    assert same == pytest.approx(error, rel=1e-4)
+    assert error < some < most
+    assert len({point.timing for point in found.points}) == 4
+
+
 def test_one_bar_tells_all_of_it(swept):
     heard = []
 

@@ -18,10 +18,12 @@ from torchprt.light import windowed
 from torchprt.measure.recipe import Recipe
 from torchprt.progress import Report
 from torchprt.scene import Scene
-from torchprt.shade import shader
+from torchprt.shade import AdaptiveShader, Shader, shader
 from torchprt.transfer import Transfer
 from torchprt.transport import OrderWarning, bake
 
+# Thresholds of layers that depend on the eye, in those of the others: as `AdaptiveShader` has them.
+_GLOSSY = 2.0
 Frame = Callable[[], Float[Tensor, "B V 3"]]
 """One frame: the radiance of all receivers under the lights."""
 Runner = Callable[[Float[Tensor, "B N 3"], Float[Tensor, "3"] | None], Float[Tensor, "B V 3"]]
@@ -90,12 +92,12 @@ def runner_of(transfer: Transfer, recipe: Recipe) -> Runner:
 
     The first call of a compiled one, and of another number of lights, compiles. Raises InputError as `shader`.
     """
-    if recipe.adaptive is not None:
-        raise InputError("adaptive shading is not measured yet: leave adaptive out of the recipe")
     if recipe.runtime == "onnx":
         return _graph(transfer)
     module = shader(transfer, dtype=torch.bfloat16 if recipe.dtype == "bfloat16" else torch.float32)
     call: Callable[..., Tensor] = torch.compile(module) if recipe.runtime == "compiled" else module
+    if recipe.adaptive is not None:
+        call = _adaptive(module, transfer, recipe.adaptive)
     by_eye = "eye" in transfer.needs
 
     def run(light: Tensor, eye: Tensor | None = None) -> Tensor:
@@ -104,6 +106,12 @@ def runner_of(transfer: Transfer, recipe: Recipe) -> Runner:
             return call(light) if seen is None else call(light, eye=seen)
 
     return run
+
+
+def _adaptive(module: Shader, transfer: Transfer, threshold: float) -> Callable[..., Tensor]:
+    """A frame without one before it."""
+    shade = AdaptiveShader(module, transfer.faces, diffuse=threshold, specular=_GLOSSY * threshold)
+    return lambda light, **seen: shade(light, **seen).radiance
 
 
 def _seen(transfer: Transfer, eye: Float[Tensor, "3"] | None) -> Float[Tensor, "3"] | None:

@@ -21,6 +21,7 @@ _KINDS = {
     "clusters": ("#d1495b", "s"),
     "lobes": ("#00798c", "^"),
     "factors or visibility": ("#6a4c93", "v"),
+    "adaptive": ("#2b2d42", "P"),
     "narrow types": ("#edae49", "D"),
     "dense": ("#30638e", "o"),
 }
@@ -76,6 +77,8 @@ def kind_of(recipe: Recipe) -> str:
         return "lobes"
     if recipe.factors is not None or recipe.frame == "visibility":
         return "factors or visibility"
+    if recipe.adaptive is not None:
+        return "adaptive"
     return "narrow types" if recipe.dtype != "float32" else "dense"
 
 

@@ -17,8 +17,9 @@ LOBES = (1, 2, 3)
 OUTPUTS = (2, 3, 4, 5, 6, 8)
 FACTORS = (2, 4, 8)
 VISIBILITIES = (5, 8, 10)
-# Thresholds of adaptive shading; empty until `runner_of` runs it.
-THRESHOLDS: tuple[float, ...] = ()
+THRESHOLDS = (0.005, 0.01, 0.02)
+# Orders below have too few levels above the first.
+_ADAPTED = 6
 # Receivers a cluster, at least: below, its representatives take more than they save.
 _FULL = 16
 _BASE = Recipe()
@@ -117,8 +118,10 @@ def _run(choice: Choice, quick: bool) -> list[Recipe]:
     found += [each.replace(runtime="onnx") for each in _stored(choice, True) if each.clusters or each.lobes]
     if not quick:
         found.append(base.replace(runtime="compiled"))
+    if choice.reference.order < _ADAPTED or not choice.dense:
+        return found
     many = base.replace(order=choice.reference.order)
-    return found + [many.replace(adaptive=threshold) for threshold in THRESHOLDS]
+    return found + [many.replace(adaptive=threshold) for threshold in (THRESHOLDS[1:2] if quick else THRESHOLDS)]
 
 
 def _rays(choice: Choice, quick: bool) -> list[Recipe]:

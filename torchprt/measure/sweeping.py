@@ -69,9 +69,7 @@ class Sweeping:
         self.wanted = self._shaded(runner_of(transfer, best), best)
         self._pictures = self.views.pictures(self.wanted)
         self._seen_key = key_of("seen", [*self._lights.values(), self.views.eyes], names=list(lights))
-        self._times = SideBySide(
-            kept, self.recipes[0], lambda recipe: {"subject": subject.key, "channels": subject.channels(recipe)}
-        )
+        self._times = SideBySide(kept, self.recipes[0], self._shapes)
 
     def points(self) -> list[Point]:
         """Measures what is not known, and puts all of it together."""
@@ -94,6 +92,11 @@ class Sweeping:
     def radiance(self, point: Point) -> Float[Tensor, "V 3"]:
         """Under the first light from the first eye, run eagerly: what another runtime changes is rounding."""
         return self._frame(point.recipe.replace(runtime="eager"))()[0].float()
+
+    def _shapes(self, recipe: Recipe) -> dict[str, Any]:
+        """What the time of a frame depends on beside its recipe; of an adaptive one also all values."""
+        known: dict[str, Any] = {"subject": self.subject.key, "channels": self.subject.channels(recipe)}
+        return known if recipe.adaptive is None else {**known, "values": self._error_key(recipe)}
 
     def _seconds(self, unknown: list[Recipe], untimed: list[Recipe]) -> float:
         """How long all this takes, about."""

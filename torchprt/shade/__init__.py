@@ -1,5 +1,6 @@
 """The run time: one `nn.Module` that adds layers, each of any signal. Needs torch alone."""
 
+from .adaptive import Adapted, AdaptiveShader, Regions, adaptive
 from .at_rest import at_rest
 from .clustered import ClusteredSignal
 from .dense import DenseSignal
@@ -13,9 +14,12 @@ from .patch import lay, sample
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
+from .white import white
 from .zonal import ZonalSignal
 
 __all__ = [
+    "Adapted",
+    "AdaptiveShader",
     "ClusteredSignal",
     "DenseSignal",
     "DiffuseLayer",
@@ -27,10 +31,12 @@ __all__ = [
     "IncidentLayer",
     "LayerModule",
     "Making",
+    "Regions",
     "Shader",
     "SignalModule",
     "VisibilityLayer",
     "ZonalSignal",
+    "adaptive",
     "agx",
     "at_rest",
     "display",
@@ -43,5 +49,6 @@ __all__ = [
     "signal_module",
     "srgb",
     "tone_mapped",
+    "white",
     "with_material",
 ]

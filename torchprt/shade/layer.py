@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import copy
 import functools
+from collections.abc import Sequence
 from typing import ClassVar, TypeVar, cast
 
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from torchprt.errors import InputError
 from torchprt.sh.precision import KeepsSingle
 from torchprt.shade.dense import DenseSignal
+from torchprt.shade.levels import Levels, LinearLevels
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Diffuse, Layer
 
@@ -88,6 +90,10 @@ class LayerModule(KeepsSingle, abc.ABC):
         radiance = self.sent(light, values, frames, out)
         # Autocast may have made it narrower.
         return (radiance * weight.T).to(weight.dtype) if out is None else radiance.mul_(weight.T)
+
+    def levels(self, orders: Sequence[int]) -> Levels:
+        """The layer at rising orders of the light, for adaptive shading; InputError if that has no meaning for it."""
+        return LinearLevels(self, orders)
 
     def spread(self, values: Float[Tensor, "*#B G"], below: Float[Tensor, "*#B V"] | None, count: int) -> Tensor:
         """Values of its receivers put among all `count`, over those of the layers `below`."""
