@@ -247,6 +247,13 @@ def test_a_folder_of_something_else_is_refused_and_kept(found, tmp_path):
             check_folder(place)
 
 
+def test_recipes_of_one_name_are_two_rows(swept):
+    packed = BASE.replace(clusters=4, components=2)
+    found = swept(recipes=[BASE, packed, packed.replace(bits=32)])
+    names = [row.name for row in table(found).rows]
+    assert names[2] == f"{names[1]} #2"
+
+
 def test_a_table_numbers_the_points_of_the_front(found):
     numbers = [row.extra.get("front") for row in table(found).rows]
     assert sorted(number for number in numbers if number) == list(range(1, len(found.fronts()) + 1))

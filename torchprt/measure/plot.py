@@ -137,8 +137,15 @@ def _halves(axes: Any, found: Tradeoff, by: Cost) -> None:
     axes.annotate("base", from_, (11, -9), textcoords="offset points", va="top", fontsize=10, fontweight="bold")
     low, high = axes.get_ylim()
     axes.set_ylim(low, high)
-    limit = f"half of {amount(by, base.cost(by))} "
-    axes.annotate(limit, (from_[0] / 2, high), (-2, -4), textcoords="offset points", ha="right", va="top", fontsize=9)
+    # At the bottom, where points so cheap seldom are.
+    axes.annotate(
+        f"half of {amount(by, base.cost(by))}",
+        (from_[0] / 2, low),
+        (3, 4),
+        textcoords="offset points",
+        fontsize=9,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+    )
     if half.point is not None:
         to = _place(half.point, by)
         axes.scatter(*to, s=190, facecolors="none", edgecolors="#2a9d4a", linewidths=2.2, zorder=5)

@@ -71,7 +71,8 @@ def table(found: Tradeoff) -> Table:
         extra |= {f"error, {name}": error for name, error in point.errors.items()}
         if point.recipe in numbered:
             extra["front"] = numbered[point.recipe]
-        made.add(point.recipe.name, error=point.error, seconds=point.timing, bytes=point.bytes, extra=extra)
+        same = sum(row.name.split(" #")[0] == point.recipe.name for row in made.rows)
+        made.add(point.recipe.name + (f" #{same + 1}" if same else ""), error=point.error, seconds=point.timing, bytes=point.bytes, extra=extra)
     return made
 
 
