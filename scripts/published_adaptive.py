@@ -16,7 +16,6 @@ PSNR is of the picture of 640 x 480 with its background, as the paper's, and of 
 from __future__ import annotations
 
 import functools
-
 import os
 import sys
 import warnings

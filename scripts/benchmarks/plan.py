@@ -21,7 +21,7 @@ import torch
 from bake import scene_to_measure
 
 from torchprt import light as lights
-from torchprt.measure import Recipe, Table, bake_recipe, frame_of, plan, relative_rms, store_recipe, time_it
+from torchprt.measure import Recipe, Table, bake_recipe, error_under, frame_of, plan, store_recipe, time_it
 from torchprt.measure.plan import eyes_around
 from torchprt.scene import Material, Object, Scene, samples
 from torchprt.transfer import Transfer
@@ -49,10 +49,6 @@ CASES: dict[str, tuple[Callable[[], Scene], tuple[str, ...], float, str]] = {
     "teapot": (lambda: samples.teapot(6_000), ("studio", "sky"), 0.1, "milliseconds"),
     "shiny": (lambda: shiny(samples.organic(6_000), "phong:12"), ("overcast",), 0.05, "bytes"),
 }
-
-
-def worst(found: torch.Tensor, wanted: torch.Tensor) -> float:
-    return max(relative_rms(one, other) for one, other in zip(found, wanted, strict=True))
 
 
 def radiance(transfer: Transfer, recipe: Recipe, light: torch.Tensor, eyes: torch.Tensor) -> torch.Tensor:
@@ -107,12 +103,12 @@ def run(names: list[str]) -> None:
         start = time.perf_counter()
         made = store_recipe(bake_recipe(scene, found.recipe, progress=False), found.recipe)
         seconds = time.perf_counter() - start
-        achieved = worst(radiance(made, found.recipe, light, eyes), wanted)
+        achieved = error_under(radiance(made, found.recipe, light, eyes), wanted)
         best: dict[str, tuple[Recipe, Transfer]] = {}
         count = 0
         for recipe, stored in swept(scene, found.recipe, int(reference.bounces)):
             count += 1
-            if worst(radiance(stored, recipe, light, eyes), wanted) > error:
+            if error_under(radiance(stored, recipe, light, eyes), wanted) > error:
                 continue
             # One of each shape: rays and bounces of one channel change neither time nor bytes.
             key = f"{recipe.frame} {recipe.output_order} {recipe.order} {recipe.dtype} {stored.channels}"

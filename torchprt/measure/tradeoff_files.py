@@ -72,7 +72,13 @@ def table(found: Tradeoff) -> Table:
         if point.recipe in numbered:
             extra["front"] = numbered[point.recipe]
         same = sum(row.name.split(" #")[0] == point.recipe.name for row in made.rows)
-        made.add(point.recipe.name + (f" #{same + 1}" if same else ""), error=point.error, seconds=point.timing, bytes=point.bytes, extra=extra)
+        made.add(
+            point.recipe.name + (f" #{same + 1}" if same else ""),
+            error=point.error,
+            seconds=point.timing,
+            bytes=point.bytes,
+            extra=extra,
+        )
     return made
 
 
