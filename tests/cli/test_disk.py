@@ -51,6 +51,7 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
         *((f"a{suffix}", [BALL, *LAMP, *SIZE]) for suffix in (".png", ".jpg", ".webp")),
         *((f"b{suffix}", [BALL, *LAMP, *SIZE, "--turntable", "4"]) for suffix in (".gif", ".webp", ".mp4", ".png")),
     ],
+    "tradeoff": [("sweep", [BALL, *LAMP])],
     "demo": [("demo", [])],
     # They answer, and write nothing.
     "serve": [],
@@ -93,13 +94,18 @@ def inputs(folder, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
 def traced():
     """The graph of the ball, which takes seconds to trace."""
     return {}
 
 
 @pytest.fixture
-def write(inputs, run, tmp_path, monkeypatch, untyped, no_npm, traced):
+def write(inputs, cache, run, tmp_path, monkeypatch, untyped, no_npm, traced):
     """`write(verb, name, given)`: the verb, which writes `name` into the folder it works in."""
     export = importlib.import_module("torchprt.onnx.export")
 
@@ -109,6 +115,11 @@ def write(inputs, run, tmp_path, monkeypatch, untyped, no_npm, traced):
         return copy.deepcopy(traced["ball"])
 
     monkeypatch.setattr(export, "_trace", once)
+    # What a sweep measures is kept elsewhere; and it is of two recipes.
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    monkeypatch.setattr(
+        "torchprt.measure.sweeping.sweep", lambda choice, quick: [choice.base, choice.base.replace(order=2)]
+    )
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
@@ -222,7 +233,7 @@ def test_a_place_that_takes_no_file(verb, name, given, write, monkeypatch):
     assert (os.open, os.mkdir) == (opened, made)
 
 
-@pytest.mark.parametrize(("verb", "name", "given"), [case for case in CASES if case.id != "export-page"])
+@pytest.mark.parametrize(("verb", "name", "given"), [case for case in CASES if "." in case.values[1]])
 @pytest.mark.parametrize("fault", [KeyboardInterrupt(), OSError(errno.EROFS, "Read-only file system")], ids=repr)
 def test_a_fault_when_a_file_takes_its_name(verb, name, given, fault, write, monkeypatch):
     """The last step: until then the former file is there."""

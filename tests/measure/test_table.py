@@ -32,7 +32,7 @@ def test_refuses_a_name_twice(table):
 
 
 def test_refuses_a_folder_that_does_not_exist(table, tmp_path):
-    for write in (table.to_csv, table.to_json):
+    for write in (table.to_csv, table.to_json, table.to_markdown):
         with pytest.raises(InputError, match="cannot be written"):
             write(tmp_path / "none" / "a.csv")
 
@@ -82,3 +82,14 @@ def test_a_column_without_values_is_not_shown():
     assert "error" in text
     assert "seconds" not in text
     assert "bytes" not in text
+
+
+def test_markdown_is_what_is_printed_and_a_stroke_stays_in_its_cell(table, tmp_path):
+    table.add("a|b", error=0.5)
+    table.to_markdown(tmp_path / "a.md")
+    title, empty, *lines = (tmp_path / "a.md").read_text().splitlines()
+    assert (title, empty) == ("Compression", "")
+    assert lines[0] == "| name | error | seconds | bytes | K |"
+    assert lines[1] == "| --- | ---: | ---: | ---: | ---: |"
+    assert lines[2] == "| exact | 0 | 2.5 ms ± 4 % | 4.768 MB |  |"
+    assert lines[-1] == "| a\\|b | 0.5 |  |  |  |"

@@ -29,6 +29,7 @@ from torchprt.cli.render import render
 from torchprt.cli.report import answer, complain, unheard
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
+from torchprt.cli.tradeoff import tradeoff
 from torchprt.errors import InputError
 from torchprt.files import NO_ROOM
 from torchprt.progress import QUIET, quiet
@@ -42,6 +43,7 @@ VERBS: tuple[Callable[..., None], ...] = (
     export,
     serve,
     info,
+    tradeoff,
     compress,
     plan,
     fit,

@@ -18,12 +18,16 @@ from torchprt.light import windowed
 from torchprt.measure.recipe import Recipe
 from torchprt.progress import Report
 from torchprt.scene import Scene
-from torchprt.shade import shader
+from torchprt.shade import AdaptiveShader, Shader, shader
 from torchprt.transfer import Transfer
 from torchprt.transport import OrderWarning, bake
 
+# Thresholds of layers that depend on the eye, in those of the others: as `AdaptiveShader` has them.
+_GLOSSY = 2.0
 Frame = Callable[[], Float[Tensor, "B V 3"]]
 """One frame: the radiance of all receivers under the lights."""
+Runner = Callable[[Float[Tensor, "B N 3"], Float[Tensor, "3"] | None], Float[Tensor, "B V 3"]]
+"""What shades: lights as the recipe uses them, float32, and the eye if what is stored depends on one."""
 
 
 def bake_recipe(scene: Scene, recipe: Recipe, **arguments: Any) -> Transfer:
@@ -77,33 +81,57 @@ def frame_of(
     `light` is of any order from that of the recipe on. Everything that a frame need not do again (compiling, a session
     of ONNX Runtime) is done here. Raises InputError as `shader`, and without an eye if it needs one.
     """
+    run = runner_of(transfer, recipe)
     used = light_under(recipe, light).float()
-    seen = {} if "eye" not in transfer.needs else {"eye": eye}
-    if seen.get("eye", light) is None:
-        raise InputError("the scene is glossy: give an eye")
+    seen = _seen(transfer, eye)
+    return lambda: run(used, seen)
+
+
+def runner_of(transfer: Transfer, recipe: Recipe) -> Runner:
+    """What shades what is stored as the recipe runs it, for any light of the recipe's order and any eye.
+
+    The first call of a compiled one, and of another number of lights, compiles. Raises InputError as `shader`.
+    """
     if recipe.runtime == "onnx":
-        return _graph(transfer, used, eye if seen else None)
+        return _graph(transfer)
     module = shader(transfer, dtype=torch.bfloat16 if recipe.dtype == "bfloat16" else torch.float32)
-    if recipe.adaptive is not None:
-        raise InputError("adaptive shading is not measured yet")
     call: Callable[..., Tensor] = torch.compile(module) if recipe.runtime == "compiled" else module
-    seen = {name: value.float() for name, value in seen.items() if value is not None}
+    if recipe.adaptive is not None:
+        call = _adaptive(module, transfer, recipe.adaptive)
+    by_eye = "eye" in transfer.needs
 
-    def frame() -> Tensor:
+    def run(light: Tensor, eye: Tensor | None = None) -> Tensor:
+        seen = _seen(transfer, eye) if by_eye else None
         with torch.no_grad():
-            return call(used, **seen)
+            return call(light) if seen is None else call(light, eye=seen)
 
-    return frame
+    return run
 
 
-def _graph(transfer: Transfer, light: Tensor, eye: Tensor | None) -> Frame:
+def _adaptive(module: Shader, transfer: Transfer, threshold: float) -> Callable[..., Tensor]:
+    """A frame without one before it."""
+    shade = AdaptiveShader(module, transfer.faces, diffuse=threshold, specular=_GLOSSY * threshold)
+    return lambda light, **seen: shade(light, **seen).radiance
+
+
+def _seen(transfer: Transfer, eye: Float[Tensor, "3"] | None) -> Float[Tensor, "3"] | None:
+    """The eye, if what is stored depends on one."""
+    if "eye" not in transfer.needs:
+        return None
+    if eye is None:
+        raise InputError("the scene is glossy: give an eye")
+    return eye.float()
+
+
+def _graph(transfer: Transfer) -> Runner:
     import onnxruntime
 
     from torchprt.onnx import export
 
+    by_eye = "eye" in transfer.needs
     pose: Literal["frames", "positions"] | None = None
     if "pose" in transfer.needs:
-        pose = "frames" if eye is None else "positions"
+        pose = "positions" if by_eye else "frames"
     with temporary_folder() as folder:
         path = Path(folder) / "model.onnx"
         export(transfer, path, check=False, pose=pose)
@@ -111,12 +139,18 @@ def _graph(transfer: Transfer, light: Tensor, eye: Tensor | None) -> Frame:
         options.intra_op_num_threads = torch.get_num_threads()
         options.log_severity_level = 3
         session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    count = len(light)
-    inputs = {"light": light.numpy(), "rotation": torch.eye(3).expand(count, 3, 3).numpy()}
-    if eye is not None:
-        inputs["eye"] = eye.float().expand(count, 3).numpy()
+    posed = {}
     if pose == "frames":
-        inputs["frames"] = torch.eye(3).repeat(transfer.vertices, 1, 1).numpy()
+        posed = {"frames": torch.eye(3).repeat(transfer.vertices, 1, 1).numpy()}
     if pose == "positions":
-        inputs["positions"] = transfer.positions.float().numpy()
-    return lambda: torch.from_numpy(session.run(None, inputs)[0])
+        posed = {"positions": transfer.positions.float().numpy()}
+
+    def run(light: Tensor, eye: Tensor | None = None) -> Tensor:
+        count = len(light)
+        inputs = {"light": light.numpy(), "rotation": torch.eye(3).expand(count, 3, 3).numpy(), **posed}
+        seen = _seen(transfer, eye)
+        if seen is not None:
+            inputs["eye"] = seen.expand(count, 3).numpy()
+        return torch.from_numpy(session.run(None, inputs)[0])
+
+    return run

@@ -32,8 +32,8 @@ class Recipe:
     What of the light is used: its first `order` bands under a `window`, one of `light.WINDOWS`.
     How it is stored: `clusters` with `components`, `bits` and perhaps `shared` axes of clustered PCA, or `lobes`, or
     dense; in `dtype`.
-    How it runs: `runtime`; `adaptive`, the threshold of adaptive shading; `dtype` "bfloat16" is also what products are
-    made in, the others are shaded in float32.
+    How it runs: `runtime`; `adaptive`, the threshold of adaptive shading, twice as much under gloss; `dtype` "bfloat16"
+    is also what products are made in, the others are shaded in float32.
     Raises InputError for a number out of range, an unknown word, and what does not go together.
     """
 
@@ -100,6 +100,7 @@ class Recipe:
             "factors and output_order": self.factors is not None and self.output_order is not None,
             "lobes of frame visibility": self.lobes is not None and self.frame == "visibility",
             "adaptive shading of a graph": self.adaptive is not None and self.runtime == "onnx",
+            "adaptive shading that is compiled": self.adaptive is not None and self.runtime == "compiled",
             "bfloat16 in a graph, which computes in float32": self.dtype == "bfloat16" and self.runtime == "onnx",
         }
         for pair, given in apart.items():

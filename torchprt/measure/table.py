@@ -75,6 +75,17 @@ class Table:
             writer.writeheader()
             writer.writerows(records)
 
+    def to_markdown(self, path: str | os.PathLike[str]) -> None:
+        """The title and the table as it is printed, for documents. Raises InputError if it cannot be written."""
+        records = self.records()
+        shown = [name for name in _headings(records) if name != "spread"]
+        rows = [shown, ["---" if name == "name" else "---:" for name in shown]]
+        rows += [[_text(name, record) for name in shown] for record in records]
+        # A stroke would end its cell.
+        lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+        with atomic(path) as temporary:
+            Path(temporary).write_text("\n".join([f"{self.title}", "", *lines, ""]), encoding="utf-8")
+
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """`{"title": ..., "rows": [{...}, ...]}`. Raises InputError if it cannot be written."""
         with atomic(path) as temporary:

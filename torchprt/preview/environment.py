@@ -13,15 +13,12 @@ from torch import Tensor
 from torchprt import sh
 from torchprt.errors import InputError
 from torchprt.light import built_in, project, windowed
+from torchprt.shade.white import white
 
 PANORAMA = 256
 """Rows of a built-in light."""
 ROWS = 64
 """Rows of the picture of a light that has no image."""
-METER = 24
-"""Rows of the map of directions that the exposure is measured in."""
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Rec. 709."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +45,7 @@ def automatic_exposure(light: Float[Tensor, "N 3"]) -> float:
     That is what a meter of incident light says, so that a dark model stays dark, and no picture of a turntable differs
     from the next. Measured is the largest irradiance / pi of a surface that nothing shadows, in luminance.
     """
-    order = min(math.isqrt(len(light)), 5)
-    radiance = light[: order**2].double() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=light.device)
-    irradiance = sh.convolve(radiance[:, None], sh.clamped_cosine(order, dtype=torch.float64).to(light.device))
-    facing = sh.basis(sh.latlong_directions(METER, 2 * METER).to(light.device), order) @ irradiance / math.pi
-    most = float(facing.max())
+    most = float(white(light.double()))
     return -math.log2(most) if most > 0 else 0.0
 
 

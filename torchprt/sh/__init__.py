@@ -7,6 +7,7 @@ from .basis import bands, basis, check_directions, evaluate, order_of
 from .convention import from_e3nn, from_pyshtools, from_sign_free, to_e3nn, to_pyshtools, to_sign_free
 from .hemisphere import hemisphere_error, hemisphere_gram, hemisphere_projection
 from .hemisphere_basis import Projection, exit_count, exit_functions, hemisphere_basis, to_horizon
+from .hemisphere_nodes import hemisphere_nodes
 from .matrices import rotation_bands, rotation_matrix
 from .product import gaunt, product, product_matrix
 from .project import project_function, project_samples
@@ -53,6 +54,7 @@ __all__ = [
     "hemisphere_basis",
     "hemisphere_error",
     "hemisphere_gram",
+    "hemisphere_nodes",
     "hemisphere_projection",
     "lanczos",
     "latlong_basis",

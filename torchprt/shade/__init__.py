@@ -1,5 +1,6 @@
 """The run time: one `nn.Module` that adds layers, each of any signal. Needs torch alone."""
 
+from .adaptive import Adapted, AdaptiveShader, Regions, adaptive
 from .at_rest import at_rest
 from .clustered import ClusteredSignal
 from .dense import DenseSignal
@@ -7,15 +8,19 @@ from .display import agx, display, filmic, neutral, srgb, tone_mapped
 from .environment import EnvironmentShader
 from .eye_layer import ExitLayer, EyeLayerModule, FactoredLayer
 from .fixed_light import FixedLightShader
+from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
 from .patch import lay, sample
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
+from .white import white
 from .zonal import ZonalSignal
 
 __all__ = [
+    "Adapted",
+    "AdaptiveShader",
     "ClusteredSignal",
     "DenseSignal",
     "DiffuseLayer",
@@ -27,14 +32,17 @@ __all__ = [
     "IncidentLayer",
     "LayerModule",
     "Making",
+    "Regions",
     "Shader",
     "SignalModule",
     "VisibilityLayer",
     "ZonalSignal",
+    "adaptive",
     "agx",
     "at_rest",
     "display",
     "filmic",
+    "fixed_orders",
     "lay",
     "layer_module",
     "neutral",
@@ -43,5 +51,6 @@ __all__ = [
     "signal_module",
     "srgb",
     "tone_mapped",
+    "white",
     "with_material",
 ]

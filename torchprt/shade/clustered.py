@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 
@@ -33,6 +34,7 @@ class ClusteredSignal(SignalModule):
     """
 
     learnable = ("representatives",)
+    costs_by_order = False
     representatives: Tensor
     shared: Tensor
     rows: Tensor
@@ -103,6 +105,28 @@ class ClusteredSignal(SignalModule):
 
     def applied(self, columns: Float[Tensor, "N K"]) -> Float[Tensor, "G K"]:
         return self.blend(self.sent(lambda signal: signal[:, 0, 0] @ columns))
+
+    def part(self, first: int, last: int, receivers: Tensor | None = None) -> ClusteredSignal:
+        columns = slice(first * first, last * last)
+        made = copy.copy(self)
+        made._buffers, made._parameters = dict(self._buffers), {}
+        count, channels, rows, _ = self.shape
+        shared = len(self.shared) > 0
+        made._buffers["shared"] = self.shared[..., columns]
+        made._buffers["representatives"] = self.representatives if shared else self.representatives[..., columns]
+        if receivers is not None:
+            ends = torch.cat([self.starts[1:], self.starts.new_full((1,), len(self.rows))])
+            starts = self.starts.index_select(0, receivers).long()
+            counts = ends.index_select(0, receivers).long() - starts
+            first_places = counts.cumsum(0) - counts
+            total = int(counts.sum())
+            places = torch.arange(total, device=starts.device)
+            places = places + (starts - first_places).repeat_interleave(counts, output_size=total)
+            made._buffers["rows"], made._buffers["weights"] = self.rows[places], self.weights[places]
+            made._buffers["starts"] = first_places.int()
+            count = len(receivers)
+        made.shape = (count, channels, rows, last * last - first * first)
+        return made
 
     def radiance(
         self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.shade.batches import light_product
+from torchprt.shade.batches import light_product, receivers_of
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
 from torchprt.transfer import Dense
 
@@ -51,6 +52,21 @@ class DenseSignal(SignalModule):
 
     def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
         return self.values if values is None else matrix_vectors(self.values, values)
+
+    def applied_in_pieces(self, rows: Float[Tensor, "K N"], size: int) -> Iterator[Float[Tensor, "K g"]]:
+        for piece in self.toward(None)[0].split(size, 1):
+            yield rows @ piece
+
+    def part(self, first: int, last: int, receivers: Tensor | None = None) -> DenseSignal:
+        columns = slice(first * first, last * last)
+        values = self.values[:, columns] if self.values.ndim == 3 else self.values[..., columns]
+        if receivers is not None:
+            values = receivers_of(values, receivers) if values.ndim == 3 else values.index_select(1, receivers)
+        made = DenseSignal.__new__(DenseSignal)
+        count = values.shape[2] if values.ndim == 3 else values.shape[1]
+        SignalModule.__init__(made, (count, *self.shape[1:3], last * last - first * first))
+        made.register_buffer("values", values)
+        return made
 
 
 def matrix_vectors(matrix: Float[Tensor, "C G M N"], values: Float[Tensor, "*B G M"]) -> Float[Tensor, "C N ..."]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -40,6 +40,8 @@ class SignalModule(KeepsSingle, abc.ABC):
     learnable: ClassVar[tuple[str, ...]] = ()
     choices: ClassVar[tuple[str, ...]] = ()
     follows_pose: ClassVar[bool] = False
+    # Whether a receiver costs less in fewer bands of the light.
+    costs_by_order: ClassVar[bool] = True
 
     def __init__(self, shape: tuple[int, int, int, int]) -> None:
         """`shape`: G, C, M, N."""
@@ -61,6 +63,20 @@ class SignalModule(KeepsSingle, abc.ABC):
     def applied(self, columns: Float[Tensor, "N K"]) -> Float[Tensor, "G K"]:
         """`vectors @ columns` of vectors with one channel."""
         return self.toward(None)[0].mT @ columns
+
+    def applied_in_pieces(self, rows: Float[Tensor, "K N"], size: int) -> Iterator[Float[Tensor, "K g"]]:
+        """`rows @ vectors`, as `applied` but receivers last, `size` of them at a time, one piece after the other."""
+        yield from self.applied(rows.mT).mT.split(size, 1)
+
+    def part(self, first: int, last: int, receivers: Tensor | None = None) -> SignalModule:
+        """Of those `receivers`, all if None, the columns of bands `first` to `last` - 1: what adaptive shading reads.
+
+        Gradients flow to what it is a part of. Raises InputError if the signal cannot be taken apart.
+        """
+        raise InputError(
+            f"a signal of class {type(self).__name__} cannot be taken apart by bands: write its method `part`, or call "
+            "the shader itself, which is not adaptive"
+        )
 
     def radiance(
         self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Literal, get_args
 
 import torch
@@ -40,6 +41,8 @@ class ZonalSignal(SignalModule):
     choices = ("method",)
     follows_pose = True
     single = ("axis",)
+    # Which of the columns of its lobes it is about: all, unless it is a part.
+    columns: slice = slice(None)
     axis: Tensor
     coefficients: Tensor
     exact: Tensor
@@ -81,7 +84,22 @@ class ZonalSignal(SignalModule):
         return _beside(axes, batch) if frames is None else axes, weights, low
 
     def toward(self, values: Tensor | None, frames: Tensor | None = None) -> Float[Tensor, "C N ..."]:
-        return lobe_vectors(*self.lobes(values, frames)).to(self.coefficients.dtype)
+        return lobe_vectors(*self.lobes(values, frames)).to(self.coefficients.dtype)[:, self.columns]
+
+    def part(self, first: int, last: int, receivers: Tensor | None = None) -> ZonalSignal:
+        whole = self.exact.shape[2] > 0
+        if whole and last < 2:
+            raise InputError("bands 0 and 1 of zonal lobes are held as one: give orders of 2 or more")
+        bands = last - 2 if whole else last
+        held = {"axis": self.axis, "coefficients": self.coefficients[:, :, :, :bands], "exact": self.exact}
+        made = copy.copy(self)
+        made._buffers, made._parameters = dict(self._buffers), {}
+        for name, value in held.items():
+            made._buffers[name] = value if receivers is None else value.index_select(-1, receivers)
+        count, channels, rows, _ = self.shape
+        made.shape = (count if receivers is None else len(receivers), channels, rows, last * last - first * first)
+        made.columns, made.method = slice(first * first, last * last), "direct"
+        return made
 
     def radiance(
         self, light: Tensor, values: Tensor | None, frames: Tensor | None = None, out: Tensor | None = None
@@ -89,7 +107,7 @@ class ZonalSignal(SignalModule):
         lobes = self.lobes(values, frames)
         if self.method == "table":
             return table_radiance(light, *lobes)
-        return light_product(light, lobe_vectors(*lobes).to(light.dtype), out=out)
+        return light_product(light, lobe_vectors(*lobes).to(light.dtype)[:, self.columns], out=out)
 
 
 def _beside(values: Tensor, poses: int) -> Tensor:

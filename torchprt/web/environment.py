@@ -12,8 +12,9 @@ from torch import Tensor
 
 from torchprt import light
 from torchprt.errors import InputError
-from torchprt.preview.environment import LUMINANCE, Environment, built_in_environment, photograph
+from torchprt.preview.environment import Environment, built_in_environment, photograph
 from torchprt.shade import display
+from torchprt.shade.white import LUMINANCE
 
 # Rows of the pictures that a page holds, twice as many columns.
 ROWS = 256
