@@ -132,7 +132,7 @@ def _sought(
     needed = {name: options[name] for name in ("method", "bits", "seed", "importance", "passes")}
     # An error is seldom worth half of the bytes.
     limit = dense.bytes // 2 if bytes is None else bytes - kept
-    sizes = candidates(numbers_of(dense), limit, **needed)
+    sizes = candidates(numbers_of(dense), limit, error=error, **needed)
     if bytes is not None:
         return _within(dense, faces, sizes, bytes, kept, options)
     assert error is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,6 +21,8 @@ _SAMPLE, _WIDE_SAMPLE = 1 << 15, 1 << 14
 _LEAST_CLUSTERS, _MOST_CLUSTERS = 1 << 4, 1 << 11
 _MOST_COMPONENTS = 40
 _SHARED = (32, 64, 96, 128, 192, 256, 320, 384, 448, 512)
+# So many numbers of clusters that are worse than a smaller one say that more of them are.
+_WORSE = 2
 # Passes of vector quantisation, and after them with so many components: more of these than with 1, 2, 4, ...
 _START, _EACH = 4, 2
 _LEVELS, _WIDE_LEVELS = (1, 2, 4, 8, 16, 32), (4, 16)
@@ -71,8 +73,11 @@ def candidates(
     passes: Passes,
     importance: Tensor | None = None,
     points: int | None = None,
+    error: float | None = None,
 ) -> list[Sizes]:
     """Every size that is sought among, its error foretold from a sample of points.
+
+    Of more and more clusters; `error`: no more once twice as many, and twice again, reach it in more bytes only.
 
     `signal [V, S]`, all points or a sample that stands for so many `points`; sizes of more than `limit` bytes are
     foretold less well, or left out. Shared axes are sought where a point has more numbers than there are dimensions
@@ -103,14 +108,34 @@ def candidates(
             for clusters in _clusters(points, method)
             if clusters == 1 or fits(clusters, 0)
         }
-        curves = _curves(data, metric, tried, len(sample) / points, method, bits, seed, passes)
-        for clusters, curve in zip(tried, curves, strict=True):
+
+        def sizes(clusters: int, curve: Tensor) -> list[Sizes]:
             most = 0 if method == "vq" else min(len(curve) - 1, numbers)
-            for components, squared in enumerate((curve[: most + 1] / power).tolist()):
-                for shared in shares:
-                    size = stored_bytes(points, numbers, clusters, components, shared, bits)
-                    cut = left[shared - 1] if shared else 0.0
-                    found.append(Sizes(clusters, components, shared, size, squared, cut))
+            return [
+                Sizes(
+                    clusters,
+                    components,
+                    shared,
+                    stored_bytes(points, numbers, clusters, components, shared, bits),
+                    squared,
+                    left[shared - 1] if shared else 0.0,
+                )
+                for components, squared in enumerate((curve[: most + 1] / power).tolist())
+                for shared in shares
+            ]
+
+        fewest: list[float] = []
+
+        def enough(clusters: int, curve: Tensor) -> bool:
+            if error is None:
+                return False
+            reaching = [size.bytes for size in sizes(clusters, curve) if size.error <= error]
+            fewest.append(min(reaching, default=math.inf))
+            return len(fewest) > _WORSE and min(fewest[-_WORSE:]) > min(fewest)
+
+        curves = _curves(data, metric, tried, len(sample) / points, method, bits, seed, passes, enough)
+        for clusters, curve in curves.items():
+            found += sizes(clusters, curve)
     return found
 
 
@@ -131,19 +156,30 @@ def _curves(
     bits: int,
     seed: int,
     passes: Passes,
-) -> list[Tensor]:
-    """The curve of every number of clusters that is `tried`, at these levels, from a `part` of all points."""
+    enough: Callable[[int, Tensor], bool],
+) -> dict[int, Tensor]:
+    """The curve of every number of clusters that is `tried`, at these levels, from a `part` of all points.
+
+    Until one is `enough`, of which all are asked in turn.
+    """
     refined = method in ("iterative", "adaptive")
     each = {clusters: _START + _EACH * len(levels) * (refined and clusters > 1) for clusters, levels in tried.items()}
     with passes.stage("sampling", sum(each.values()), len(data)) as stage:
         curves = stage.kept
-        for clusters, levels in list(tried.items())[len(curves) :]:
+        for number, (clusters, levels) in enumerate(tried.items()):
+            if str(clusters) in curves:
+                if enough(clusters, curves[str(clusters)]):
+                    break
+                continue
             fewer = max(1, round(clusters * part))
             label = quantise(data, fewer, seed, _START, passes.within(stage))
             wanted = levels if refined and fewer > 1 else []
             curves[str(clusters)] = _curve(data, metric, label, fewer, wanted, bits, passes, stage.advance)
-            stage.keep(curves, passes=each[clusters])
-    return [curves[str(clusters)] for clusters in tried]
+            over = enough(clusters, curves[str(clusters)])
+            stage.keep(curves, passes=each[clusters], last=over or number == len(tried) - 1)
+            if over:
+                break
+    return {clusters: curves[str(clusters)] for clusters in tried if str(clusters) in curves}
 
 
 def _curve(

@@ -35,6 +35,8 @@ _REFERENCE_OUTPUT = (5, 6, 8, 10)
 _ERRORS = (0.002, 0.003, 0.005, 0.007, 0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 # Candidates of a kind that are timed.
 _TIMED = 4
+# Dense recipes that clusters are tried of: bands that are cheap in them leave more of the error to clusters.
+_CLUSTERED, _MORE_ORDERS = 3, 2
 # Scenes below this are not worth representatives.
 _FEWEST_CLUSTERED = 2000
 # Differences in time below this are noise: the fewest bytes count among those.
@@ -150,8 +152,8 @@ class _Search:
         chosen = [recipe for kind in kinds.values() for recipe in kind[:_TIMED]]
         made = dict.fromkeys(chosen, 0.0)
         if self.probe.receivers >= _FEWEST_CLUSTERED and (self.least == "bytes" or bytes is not None):
-            plain = [recipe for recipe in chosen if recipe.dtype == "float32"]
-            for recipe in plain[:2]:
+            plain = [recipe for recipe in dense if recipe.dtype == "float32"]
+            for recipe in plain[:_CLUSTERED]:
                 left = error**2 - self.probe.error(recipe).bound ** 2
                 packed = clustered(self.scene, self.probe, recipe, math.sqrt(max(left, 0.0)))
                 if packed is not None:
@@ -169,7 +171,7 @@ class _Search:
         for way in self._ways():
             first: int | None = None
             for order in range(1, self.probe.order + 1):
-                if self.least != "seconds" and first is not None and order > first + 1:
+                if self.least != "seconds" and first is not None and order > first + _MORE_ORDERS:
                     # More bands cost more of all but of rays.
                     break
                 recipe = self._enough(Recipe(order=order, **self._fixed, **way), error)
