@@ -46,7 +46,7 @@ CASES: dict[str, tuple[Callable[[], Scene], tuple[str, ...], float, str]] = {
     "painted": (lambda: samples.painted_vase(96), ("sky",), 0.03, "bytes"),
     "wing": (lambda: samples.wing(48), ("studio",), 0.03, "milliseconds"),
     "bunny": (scene_to_measure, ("studio", "sky"), 0.01, "milliseconds"),
-    "teapot": (lambda: samples.teapot(6_000), ("studio", "sky"), 0.1, "milliseconds"),
+    "teapot": (lambda: samples.teapot(8_000), ("studio", "sky"), 0.1, "milliseconds"),
     "shiny": (lambda: shiny(samples.organic(6_000), "phong:12"), ("overcast",), 0.05, "bytes"),
 }
 

@@ -116,7 +116,7 @@ def test_a_glossy_scene_gets_a_frame_that_holds_its_gloss():
 
 def test_the_same_seed_is_the_same_error():
     scene = samples.plane_and_blocker(12)
-    one, other = (plan(scene, sun(4), error=0.05, count=40).predicted["error"] for _ in range(2))
+    one, other = (Probe(scene, sun(4), count=40, seed=3).error(Recipe(order=3, rays=64)) for _ in range(2))
     assert one == other
 
 
