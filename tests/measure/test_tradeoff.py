@@ -247,6 +247,14 @@ def test_a_folder_of_something_else_is_refused_and_kept(found, tmp_path):
             check_folder(place)
 
 
+def test_the_reference_alone_is_nothing_to_compare(swept, tmp_path):
+    transfer = bake(room(), order=3, rays=16, progress=False)
+    found = swept(transfer, recipes=[Recipe(3, 16)])
+    with pytest.raises(InputError, match="only the reference was tried"):
+        save_tradeoff(found, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_recipes_of_one_name_are_two_rows(swept):
     packed = BASE.replace(clusters=4, components=2)
     found = swept(recipes=[BASE, packed, packed.replace(bits=32)])

@@ -29,10 +29,13 @@ def save_tradeoff(found: Tradeoff, folder: str | os.PathLike[str]) -> None:
     """Writes `table.csv`, `table.md`, `pareto.png`, `front.png` and `recipe-NN.toml` of the points on the fronts.
 
     They are numbered as in the plot, the least error first. A folder of an earlier sweep is replaced as a whole.
-    Raises InputError if matplotlib is not installed, the folder holds something else or cannot be written.
+    Raises InputError if nothing but the reference was tried, matplotlib is not installed, or the folder holds something
+    else or cannot be written.
     """
     check_folder(folder)
     check_matplotlib()
+    if not found.candidates:
+        raise InputError("only the reference was tried: there is nothing to compare, give other recipes")
     with atomic_folder(folder) as made:
         written = table(found)
         written.to_csv(made / CSV)
@@ -72,7 +75,13 @@ def table(found: Tradeoff) -> Table:
         if point.recipe in numbered:
             extra["front"] = numbered[point.recipe]
         same = sum(row.name.split(" #")[0] == point.recipe.name for row in made.rows)
-        made.add(point.recipe.name + (f" #{same + 1}" if same else ""), error=point.error, seconds=point.timing, bytes=point.bytes, extra=extra)
+        made.add(
+            point.recipe.name + (f" #{same + 1}" if same else ""),
+            error=point.error,
+            seconds=point.timing,
+            bytes=point.bytes,
+            extra=extra,
+        )
     return made
 
 
