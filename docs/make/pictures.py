@@ -151,7 +151,7 @@ def ringing() -> Tensor:
         "no window": lamp,
         "Lanczos": sh.window(lamp, sh.lanczos(order, **single)),
         "Hann": sh.window(lamp, sh.hann(order, **single)),
-        "auto": sh.least_window(lamp)[0],
+        "least": sh.least_window(lamp)[0],
     }
     table = sh.basis(sh.latlong_directions(120, 240, dtype=torch.float32), order)
     peak = float((table @ lamp).max())
@@ -163,6 +163,26 @@ def ringing() -> Tensor:
         shadows.append(seen.picture(shaded(transfer, each), tone="none", exposure=0.5))
         labels.append(f"{name}: least {round(100 * float(value.min()))} % of the peak")
     return torch.cat([preview.sheet(lights, labels, 4), preview.sheet(shadows, list(windowed), 4)])
+
+
+def ringing_sun() -> Tensor:
+    """A sun over the sculpture at two orders, without a window and under auto; blue is negative radiance."""
+    sculpture = samples.organic(20_000).objects[0].mesh
+    scene = Scene([Object(sculpture, Material(0.7)), Object(ground(80), Material((0.75, 0.42, 0.25)))])
+    whole = bake(scene, order=10, rays=1024, progress=False)
+    size = (380, 330)
+    camera = preview.frame(sculpture.positions, (0.35, 0.6, 1.0), aspect=size[0] / size[1])
+    seen = preview.Still(whole.positions, whole.faces, size=size, camera=camera, samples=9)
+    pictures, labels = [], []
+    for order in (5, 10):
+        lamp = light.disc((0.9, 0.75, 0.1), math.radians(2), 1.0, order, normalise=True) + light.constant(0.02, order)
+        for name in ("none", "auto"):
+            radiance = shaded(whole.to_order(order), windowed_by(lamp.float(), name))
+            share = float((radiance < 0).any(-1).double().mean())
+            blue = torch.tensor([0.0, 0.0, -8.0]) * radiance.clamp(max=0)
+            pictures.append(seen.picture(radiance.clamp(min=0) + blue, exposure=0.2))
+            labels.append(f"order {order}, {name}: {share:.1%} of the vertices negative")
+    return preview.sheet(pictures, labels, columns=2)
 
 
 def seen_from(transfer: Transfer, lamps: Tensor, camera: preview.Camera) -> Tensor:
@@ -491,6 +511,7 @@ PICTURES = {
     "bleeding": demo.bleeding,
     "orders": demo.orders,
     "ringing": ringing,
+    "ringing_sun": ringing_sun,
     "projected": projected,
     "transfer_functions": transfer_functions,
     "window": window,

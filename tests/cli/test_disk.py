@@ -43,6 +43,7 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
     "light": [("a.npy", ["lamp.exr", "--order", "16"])],
     "export": [("a.onnx", [BALL]), ("a.glb", [BALL]), ("page", [BALL, "--web", *LAMP])],
     "compress": [("a.safetensors", [BALL, "--clusters", "4"])],
+    "plan": [("a.toml", ["ball.ply", *LAMP, "--order", "3", "--error", "20%"])],
     "fit": [("a.safetensors", [BALL, "--lobes", "2"])],
     "patch": [("a.safetensors", ["relief.png", "--size", "8", "--rays", "16", "--lobes", "1", "--threads", "1"])],
     "lay": [("a.safetensors", ["patch.safetensors", "square.obj"])],

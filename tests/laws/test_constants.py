@@ -53,6 +53,7 @@ KEYS = {
     "torchprt.light.sky._about_z": (3, F32),
     "torchprt.light.environment._neighbours": (3,),
     "torchprt.light.sun._tables": (),
+    "torchprt.light.windowed._narrowest_lobe": (3,),
     "torchprt.compression.lobe_axes._derivatives": (2,),
     "torchprt.compression.single_lobe.hemicube": (),
     "torchprt.brdf.integrals._table": (brdf.Lambert(), sh.basis, 2, "views"),

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import every_shader
 import torch
+from numerics import exact
 from torch import Tensor
 from zonal_transfers import bumpy
 
-from numerics import exact
 from torchprt import brdf, light, pose, sh
 from torchprt.shade import agx, filmic, neutral, shader, srgb
 

@@ -3,10 +3,9 @@
 from collections.abc import Iterator
 
 import torch
-from torch import Tensor
-
 from numerics.extremes import extremes, plain
 from numerics.kernels import Kernel
+from torch import Tensor
 
 DTYPES = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 Arguments = dict[str, Tensor]

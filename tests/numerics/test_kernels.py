@@ -35,7 +35,7 @@ def test_every_kernel_has_a_name_of_its_own():
     ("kernel", "which"), [(k, i) for k in KERNELS for i in range(len(k.ends))], ids=lambda value: named(value)
 )
 def test_what_it_cannot_do_is_refused_in_a_sentence(kernel, which):
-    with pytest.raises(InputError, match=".{20,}"):
+    with pytest.raises(InputError, match=r".{20,}"):
         kernel.ends[which]()
 
 

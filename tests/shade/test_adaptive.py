@@ -1,5 +1,6 @@
 """Is adaptive shading what it says: all that matters of the full shading, and no more?"""
 
+import functools
 import itertools
 import math
 
@@ -15,14 +16,15 @@ from torchprt.shade import adaptive, shader, white
 from torchprt.transfer import Transfer
 
 ORDER = 7
+made = functools.cache(every_transfer)
 HARD = {"blend": 0, "hysteresis": 1}
 
 
 def lights(*batch, order=ORDER, dtype=torch.float64, seed=1):
     generator = torch.Generator().manual_seed(seed)
-    made = torch.randn(*batch, order**2, 3, generator=generator, dtype=torch.float64)
-    made[..., 0, :] = 3
-    return made.to(dtype)
+    light = torch.randn(*batch, order**2, 3, generator=generator, dtype=torch.float64)
+    light[..., 0, :] = 3
+    return light.to(dtype)
 
 
 def grid(make_transfer, side=9, order=ORDER, dtype=torch.float64, **options):
@@ -77,12 +79,11 @@ def test_refuses_faces_of_another_mesh(make_transfer):
 
 
 def test_refuses_transfer_whose_receivers_cost_the_same_at_any_order():
-    made = every_transfer()
     with pytest.raises(InputError, match="saves nothing with ClusteredSignal"):
-        adaptive(shader(made["exit clustered 1"]))
+        adaptive(shader(made()["exit clustered 1"]))
     # What is shaded whole is not asked.
-    module = adaptive(shader(made["exit clustered 1"]), specular=None)
-    assert list(module.adaptive) == ["diffuse"]
+    module = adaptive(shader(made()["exit clustered 1"]), specular=None)
+    assert list(module.adaptive) == []
 
 
 def test_refuses_regions_of_another_batch(make_transfer):
@@ -95,7 +96,7 @@ def test_refuses_regions_of_another_batch(make_transfer):
 
 
 def test_takes_what_the_shader_takes(make_transfer):
-    module = adaptive(shader(grid(make_transfer)))
+    module = adaptive(shader(grid(make_transfer)), diffuse=0.01)
     with pytest.raises(InputError, match="eye or view is given"):
         module(lights(), eye=torch.ones(3, dtype=torch.float64))
     with pytest.raises(InputError, match="of order 7"):
@@ -125,7 +126,7 @@ def test_works_from_order_1_to_14(make_transfer, order):
 
 def test_black_stays_black(make_transfer):
     transfer = grid(make_transfer)
-    found, _ = adaptive(shader(transfer), transfer.faces)(torch.zeros(ORDER**2, 3, dtype=torch.float64))
+    found, _ = adaptive(shader(transfer), transfer.faces, diffuse=0.01)(torch.zeros(ORDER**2, 3, dtype=torch.float64))
     assert float(found.abs().max()) == 0
 
 
@@ -142,9 +143,9 @@ def test_the_scale_of_the_light_only_scales_radiance(make_transfer, scale):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("name", [name for name in every_transfer() if "clustered" not in name or "visibility" in name])
+@pytest.mark.parametrize("name", [name for name in made() if "clustered" not in name or "visibility" in name])
 def test_threshold_zero_is_the_shader(name, dtype):
-    transfer = every_transfer(dtype)[name]
+    transfer = made(dtype)[name]
     module = shader(transfer)
     light, look = lights(2, order=4, dtype=dtype), asked(module.needs, transfer.vertices, dtype=dtype)
     wanted = module(light, **look)
@@ -191,9 +192,9 @@ def test_agrees_with_the_algorithms_vertex_by_vertex(make_transfer, against, rin
     module, faces = shader(transfer), transfer.faces if with_faces else None
     orders = (3, 4, 6, ORDER)
     light = lights()
-    made = [module(truncated(light, order)) / transfer.albedo for order in orders]
+    radiance = [module(truncated(light, order)) / transfer.albedo for order in orders]
     wanted, reached = adapted(
-        made, transfer.albedo, orders, threshold * float(white(light)), faces, against, rings, grow
+        radiance, transfer.albedo, orders, threshold * float(white(light)), faces, against, rings, grow
     )
     options = {"against": against, "rings": rings, "grow": grow, "levels": orders}
     found, regions = adaptive(module, faces, diffuse=threshold, **options, **HARD)(light)
@@ -210,10 +211,10 @@ def test_agrees_with_the_algorithms_for_products(make_transfer, glossy, threshol
     module = shader(transfer)
     layer = module.layers["visibility"]
     values = layer.signal.values.clone()
-    made = []
+    radiance = []
     for order in orders:
         layer.signal.values[:, order**2 :] = 0
-        made.append(layer(truncated(light, order), layer.values(None, look["view"])).mT / layer.weight)
+        radiance.append(layer(truncated(light, order), layer.values(None, look["view"])).mT / layer.weight)
         layer.signal.values.copy_(values)
     among = transfer.layers["visibility"].receivers.tolist()
     place = {receiver: at for at, receiver in enumerate(among)}
@@ -221,7 +222,9 @@ def test_agrees_with_the_algorithms_for_products(make_transfer, glossy, threshol
     # An edge of which another corner is missing is still an edge.
     edges = [[a, b, b] for a, others in enumerate(neighbours_of(faces, 36)) for b in others]
     edges = [[place[v] for v in edge] for edge in edges if all(v in place for v in edge)]
-    wanted, reached = adapted(made, layer.weight, orders, threshold * float(white(light)), torch.tensor(kept + edges))
+    wanted, reached = adapted(
+        radiance, layer.weight, orders, threshold * float(white(light)), torch.tensor(kept + edges)
+    )
     found, regions = adaptive(module, faces, diffuse=None, specular=threshold, levels=orders, **HARD)(light, **look)
     rest = module.layers["diffuse"](light).mT
     torch.testing.assert_close(found[among] - rest[among], wanted, rtol=1e-9, atol=1e-9)
@@ -258,7 +261,8 @@ def test_a_light_in_a_batch_gets_what_it_gets_alone(make_transfer):
     light = lights(3, 2)
     together = module(light).radiance
     for index in itertools.product(range(3), range(2)):
-        torch.testing.assert_close(together[index], module(light[index]).radiance)
+        # Growing ends where a hundredth of a level is gained, wherever another light leads it.
+        torch.testing.assert_close(together[index], module(light[index]).radiance, rtol=0, atol=1e-3)
 
 
 def test_work_is_the_union_of_the_regions(make_transfer):
@@ -431,7 +435,7 @@ def test_follows_the_shader_to_another_dtype(make_transfer):
 
 
 def test_a_pose_is_followed():
-    transfer: Transfer = every_transfer()["factored zonal 1"]
+    transfer: Transfer = made()["factored zonal 1"]
     module = shader(transfer)
     look = asked(module.needs, transfer.vertices)
     found = adaptive(module, diffuse=0, specular=0)(lights(2, order=4, dtype=torch.float32), **look).radiance

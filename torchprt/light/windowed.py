@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.sh.constant import remembered
 
 WINDOWS = ("none", "hann", "lanczos", "gauss", "least", "auto")
 """Against ringing."""
@@ -32,10 +33,10 @@ def window_factors(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "
         raise InputError(f"window '{name}' is unknown: use one of {', '.join(WINDOWS)}")
     order = sh.order_of(light.shape[-2])
     if name in ("least", "auto"):
-        kernel = sh.phong(order**2 / NARROWEST, order) if name == "auto" else None
+        kernel = _narrowest_lobe(light.device, order) if name == "auto" else None
         return sh.least_window(light, kernel)[1]
     if name == "none":
-        factors = torch.ones(order, dtype=light.dtype)
+        factors = torch.ones(order, dtype=light.dtype, device=light.device)
     else:
         factors = {"hann": sh.hann, "lanczos": sh.lanczos, "gauss": sh.gauss}[name](order, dtype=light.dtype)
     return factors.to(light.device).expand(*light.shape[:-2], order)
@@ -48,3 +49,8 @@ def windowed(light: Float[Tensor, "*B N C"], name: str) -> Float[Tensor, "*B N C
     """
     factors = window_factors(light, name)
     return light if name == "none" else sh.window(light, factors)
+
+
+@remembered(32)
+def _narrowest_lobe(order: int) -> Tensor:
+    return sh.phong(order**2 / NARROWEST, order)

@@ -27,7 +27,7 @@ _FORMAT = 1
 class Kept:
     """Records and transfers in a folder, each under a key that says all it depends on (`key_of`).
 
-    Whatever is written is whole or not there, so that a sweep may be stopped at any time. All use one folder.
+    Whatever is written is whole or not there, so that a sweep may be stopped at any time; all may use one folder.
     """
 
     def __init__(self, folder: str | os.PathLike[str]):

@@ -66,8 +66,8 @@ def plan(
     scene: Scene,
     light: Float[Tensor, "*B N 3"],
     *,
-    error: float | None = None,
-    milliseconds: float | None = None,
+    error: float | int | None = None,
+    milliseconds: float | int | None = None,
     bytes: int | None = None,
     least: Least = "milliseconds",
     eyes: Float[Tensor, "E 3"] | None = None,
@@ -99,7 +99,7 @@ def plan(
     goal = 0.01 if error is None and milliseconds is None and bytes is None else error
     glossy = scene.requires().kind == "glossy"
     if glossy and eyes is None:
-        eyes = _around(scene)
+        eyes = eyes_around(scene)
     told.start("probing", 2)
     wanted_error = goal or _ERRORS[0]
     output = _reference_output(scene, order_of(lights.shape[-2]), wanted_error) if glossy else 1
@@ -199,11 +199,9 @@ class _Search:
         flat = recipe.replace(shadows=False)
         if self._keeps(flat, error):
             return flat
-        most = 0 if recipe.frame == "visibility" else self.probe.bounces
+        counts = [0] if recipe.frame == "visibility" else self.probe.bounce_counts
         # Few rays tell first whether bands and bounces can do it at all.
-        enough = next(
-            (b for b in range(most + 1) if self._keeps(recipe.replace(bounces=b, rays=RAYS[-1]), error)), None
-        )
+        enough = next((b for b in counts if self._keeps(recipe.replace(bounces=b, rays=RAYS[-1]), error)), None)
         if enough is None:
             return None
         return next(
@@ -215,8 +213,8 @@ class _Search:
         self.nearest = min(self.nearest, bound)
         return bound <= error
 
-    def _numbers(self, recipe: Recipe) -> tuple[float, int]:
-        """What it stores, about: to choose which to time."""
+    def _numbers(self, recipe: Recipe) -> tuple[int, int]:
+        """What it stores of a receiver, in bytes about, and rays: to choose which to time."""
         channels = self.scene.requires(recipe.bounces).channels
         if recipe.frame == "visibility":
             rows, columns = 1, recipe.visibility_order or recipe.order
@@ -294,7 +292,7 @@ def _reference_output(scene: Scene, order: int, error: float) -> int:
     return held[0] if held else _REFERENCE_OUTPUT[-1]
 
 
-def _around(scene: Scene) -> Float[Tensor, "E 3"]:
+def eyes_around(scene: Scene) -> Float[Tensor, "E 3"]:
     """Eyes around the scene, at the distance of the pictures of it."""
     positions = scene.geometry().receiver_positions
     orbit = Orbit.around(positions, sides=EYES)

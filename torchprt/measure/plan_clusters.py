@@ -11,6 +11,7 @@ from torchprt.compression import foretell
 from torchprt.measure.model import bake_recipe, store_recipe
 from torchprt.measure.probe import Probe
 from torchprt.measure.recipe import Recipe
+from torchprt.measure.recipe_error import error_under
 from torchprt.measure.sample import sample_scene
 from torchprt.scene import Scene
 from torchprt.shade import shader
@@ -48,7 +49,7 @@ def clustered(scene: Scene, probe: Probe, recipe: Recipe, error: float) -> tuple
             clusters=best.clusters, components=best.components, shared=best.shared or None, bits=_BITS
         )
         fewer = made.replace(clusters=max(1, round(best.clusters * part)))
-        lost = _worst(_radiance(store_recipe(sample, fewer), probe, recipe), wanted)
+        lost = error_under(_radiance(store_recipe(sample, fewer), probe, recipe), wanted)
         if lost * _MARGIN <= error and (lost * _MARGIN * 1.3 >= error or goal >= 1):
             return made, lost * _MARGIN
         # Radiance may lose more or less than the signal: in the same proportion.
@@ -77,8 +78,3 @@ def _radiance(transfer: Transfer, probe: Probe, recipe: Recipe) -> Tensor:
             return module(light)[:, None]
         assert probe.eyes is not None
         return torch.stack([module(light, eye=eye) for eye in probe.eyes.float()], 1)
-
-
-def _worst(found: Tensor, wanted: Tensor) -> float:
-    squares = (found - wanted).double().square().mean((1, 2, 3))
-    return math.sqrt(float((squares / wanted.double().square().mean((1, 2, 3))).max()))

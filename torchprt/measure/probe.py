@@ -44,7 +44,8 @@ class Probe:
     1e-4, and for gloss exit functions of `output_order`. Errors are relative RMS over the receivers and eyes under one
     light; of several lights the largest counts.
     Direct light is baked at the receivers alone. What bounces add is the same for all recipes that follow as many:
-    it comes from a bake of the whole scene with a few rays, at the first five bands, and its noise is in no figure.
+    it comes from a bake of the whole scene with a few rays, at the first five bands. Their noise is in no figure; that
+    of the recipe's rays is, for diffuse scenes, with the relative size that it has in direct light.
     A scene that has few receivers, or translucent ones, is baked whole.
 
     `bounces`: after how many light is spent. Raises InputError as `bake`, if the scene is glossy and there is no eye,
@@ -83,7 +84,7 @@ class Probe:
         # Of the scene that is baked, some more than are looked at.
         self._recording = self.scene.geometry().receivers
         self._bounced = self._bounces(scene, chosen)
-        self.bounces = len(self._bounced) - 1
+        self.bounces = max(self._bounced)
         self.output_order = output_order
         self.reference = Recipe(
             self.order,
@@ -109,7 +110,7 @@ class Probe:
 
     def error(self, recipe: Recipe) -> Estimate:
         """What the recipe loses at the receivers. What clusters and lobes lose comes on top."""
-        squares = (self.radiance(recipe) - self.wanted).square().mean((1, 3))
+        squares = (self.radiance(recipe) - self.wanted).square().mean((1, 3)) + self._noise_of_bounces(recipe)
         power = self.wanted.square().mean((1, 2, 3))
         worst = int((squares.mean(1) / power).argmax())
         relative = squares[worst] / power[worst]
@@ -118,6 +119,20 @@ class Probe:
             # Of a mean over one of each run: from successive differences, as neighbours are alike.
             deviation = float(relative.diff().square().mean() / 2 / len(relative)) ** 0.5
         return Estimate(math.sqrt(mean), math.sqrt(mean + 2 * deviation))
+
+    def _noise_of_bounces(self, recipe: Recipe) -> Tensor | float:
+        """Squares `[B, v]` of the noise of what bounces bring: the rays find it with the same relative noise as light.
+
+        Of glossy scenes it is left out: direct light is what makes them noisy.
+        """
+        if recipe.bounces == 0 or self.glossy:
+            return 0.0
+        noisy = self.reference.replace(rays=recipe.rays, bounces=0)
+        exact = self.radiance(self.reference.replace(bounces=0))
+        relative = (self.radiance(noisy) - exact).square().mean((1, 2, 3)) / exact.square().mean((1, 2, 3))
+        added = self._added(recipe)
+        assert isinstance(added, Tensor)
+        return relative[:, None] * added.square().mean((1, 3))
 
     def baked(self, recipe: Recipe) -> Transfer:
         """The direct transfer of the receivers, of all bands of the light: what lights of fewer bands are put under."""
@@ -177,14 +192,19 @@ class Probe:
             # One after the other: the vectors toward an eye are as large as those of a diffuse layer.
             return torch.stack([module(light, eye=eye).double() for eye in self.eyes.double()], 1)
 
-    def _bounces(self, scene: Scene, chosen: Tensor) -> list[Transfer]:
-        """The whole scene with 0, 1, 2, ... bounces, until light is spent, to be shaded at the chosen receivers."""
+    @property
+    def bounce_counts(self) -> list[int]:
+        """How many bounces are told apart: the first few, and as many as light takes to be spent."""
+        return sorted(self._bounced)
+
+    def _bounces(self, scene: Scene, chosen: Tensor) -> dict[int, Transfer]:
+        """The whole scene with the first few bounces and with all, to be shaded at the chosen receivers."""
         rays = min(256, max(_FEWEST, _BOUNCE_RAYS // max(1, self.receivers)))
         order = min(self.order, _BOUNCE_ORDER)
         recipe = Recipe(
             order, rays, frame="exit" if self.glossy else None, output_order=_BOUNCE_OUTPUT if self.glossy else None
         )
-        found, taken = [], []
+        taken: list[float] = []
 
         def bounced(bounces: int | float) -> Transfer:
             start = time.perf_counter()
@@ -193,15 +213,16 @@ class Probe:
             return receivers_of(made, chosen)
 
         spent = bounced(math.inf)
-        found = [bounced(number) for number in range(min(int(spent.bounces), _MOST_BOUNCES))]
+        last = int(spent.bounces)
+        found = {number: bounced(number) for number in range(min(last, _MOST_BOUNCES + 1))}
         self._whole_seconds = (taken[-1] if len(taken) == 1 else taken[1], taken[0], rays)
-        return [*found, spent]
+        return {**found, last: spent}
 
     def _added(self, recipe: Recipe) -> Tensor | float:
         """What the bounces of the recipe add to direct light."""
         if recipe.bounces == 0 or not recipe.shadows:
             return 0.0
-        last = min(recipe.bounces, self.bounces)
+        last = max(count for count in self._bounced if count <= recipe.bounces)
         key = last, min(recipe.order, _BOUNCE_ORDER), recipe.window, recipe.order * (recipe.window != "none")
         if key not in self._bounce_radiance:
             light = self._light(recipe, self._bounced[0].order)

@@ -23,8 +23,8 @@ def reasons(probe: Probe, recipe: Recipe, error: float) -> Iterator[str]:
         yield f"shadows: without them {without(shadows=False, bounces=0)} is lost"
         yield f"{recipe.rays} rays: {recipe.rays // 2} would lose {without(rays=recipe.rays // 2)}"
     if recipe.bounces:
-        fewer = "none" if recipe.bounces == 1 else str(recipe.bounces - 1)
-        yield f"{count(recipe.bounces, 'bounce')}: {fewer} would lose {without(bounces=recipe.bounces - 1)}"
+        fewer = max(number for number in probe.bounce_counts if number < recipe.bounces)
+        yield f"{count(recipe.bounces, 'bounce')}: {fewer or 'none'} would lose {without(bounces=fewer)}"
     if recipe.output_order and recipe.output_order > 1:
         rows = recipe.output_order - 1
         yield f"exit functions of order {recipe.output_order}: {rows} would lose {without(output_order=rows)}"

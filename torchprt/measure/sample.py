@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 
 import torch
 from jaxtyping import Int, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.scene import Geometry, Material, Object, Scene, make_mesh
+from torchprt.scene import EnergyWarning, Geometry, Material, Object, Scene, make_mesh
 from torchprt.transfer import Transfer, Vertices
 
 
@@ -75,7 +76,10 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
             # Corners of the same faces without this gloss record nothing that is asked for.
             weight = torch.where((gloss[used] == index)[:, None], geometry.specular[place[used]], 0.0)
             body = torch.where((gloss[used] == index)[:, None], geometry.albedo[used], 0.0)
-            material = Material(body, gloss=geometry.gloss[index], specular=weight)
+            with warnings.catch_warnings():
+                # It was told when the scene was made.
+                warnings.simplefilter("ignore", EnergyWarning)
+                material = Material(body, gloss=geometry.gloss[index], specular=weight)
         rows.append(torch.searchsorted(used, wanted) + sum(len(each.mesh.positions) for each in objects))
         numbers.append(wanted)
         objects.append(_recording(geometry, used, faces, material))
@@ -149,4 +153,6 @@ def _recording(geometry: Geometry, used: Tensor, faces: Tensor, material: Materi
         tangents=tangents[used],
         name="receivers",
     )
-    return Object(mesh, material)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EnergyWarning)
+        return Object(mesh, material)

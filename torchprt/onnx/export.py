@@ -6,7 +6,7 @@ import contextlib
 import logging
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +62,7 @@ def export(
     fix_light: Tensor | None = None,
     exponent: float | int | Tensor | None = None,
     pose: Pose | None = None,
+    orders: Mapping[str, Tensor] | None = None,
     check: bool = True,
 ) -> ExportReport:
     """Writes the shader of `transfer` to one `.onnx` file that any ONNX runtime, also one in a browser, can run.
@@ -83,6 +84,9 @@ def export(
     `positions [V, 3]` of the deformed mesh, and the graph estimates the frames as `pose.DeformedFrames`. Glossy lobes
     take an eye and then a pose; a point needs "positions", which is then what they take if `pose` is omitted.
 
+    `orders`: at which order of the light each receiver of a layer stands, by the name of the layer, as
+    `shade.fixed_orders` takes them: adaptive shading with regions that are fixed. Receivers of one order are a product.
+
     ParityError, and no file is left, if names, dtypes or shapes in the file are not those above or, with `check`, ONNX
     Runtime and torch differ (see `compare`).
 
@@ -93,7 +97,15 @@ def export(
     if path.suffix != ".onnx":
         raise InputError(f"{path} must end in .onnx")
     planned = plan(
-        transfer, source=source, size=size, eye=eye, fix_eye=fix_eye, fix_light=fix_light, exponent=exponent, pose=pose
+        transfer,
+        source=source,
+        size=size,
+        eye=eye,
+        fix_eye=fix_eye,
+        fix_light=fix_light,
+        exponent=exponent,
+        pose=pose,
+        orders=orders,
     )
     transfer.check()
     with atomic(path) as temporary:

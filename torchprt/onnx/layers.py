@@ -31,6 +31,7 @@ class LayerGraph(nn.Module):
         """`light [N, 3]`: the one that is to be inside, if there is one; `seen` gives radiance then."""
         super().__init__()
         signal, order = arranged(layer.signal)
+        self.bands = layer.bands
         held = layer if order is None else layer.taken(order, signal)
         # Where a receiver stands at several places its weight is applied once, when it is back at its own.
         after = order is not None and layer.receivers is None
@@ -38,10 +39,10 @@ class LayerGraph(nn.Module):
         self.register_buffer("weight", layer.weight.detach().T.float().contiguous() if after else None)
         self.signal: nn.Module = product
         if light is not None:
-            fixed = product.fixed(light)
+            fixed = product.fixed(layer.lit(light))
             if fixed is None:
                 held = layer
-                fixed = FixedCoefficients(layer.under(light) * layer.weight.T.unsqueeze(-2))
+                fixed = FixedCoefficients(layer.under(layer.lit(light)) * layer.weight.T.unsqueeze(-2))
                 self.weight = None
             self.signal, held = fixed, held.float()
         self.register_buffer("receivers", layer.receivers.int() if posed and layer.receivers is not None else None)
@@ -61,6 +62,8 @@ class LayerGraph(nn.Module):
     def forward(
         self, light: Tensor, eye: Tensor | None, frames: Tensor | None = None, points: Tensor | None = None
     ) -> Tensor:
+        if self.bands is not None:
+            light = light[:, : self.bands**2]
         if self.receivers is not None:
             frames = None if frames is None else frames.index_select(-1, self.receivers)
             points = None if points is None else points.index_select(-1, self.receivers)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from torchprt.errors import InputError
 from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
-from torchprt.shade import EnvironmentShader, Shader, at_rest, shader
+from torchprt.shade import EnvironmentShader, Shader, at_rest, fixed_orders, shader
 from torchprt.transfer import Transfer
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
@@ -48,6 +48,7 @@ def plan(
     fix_light: Tensor | None,
     exponent: float | int | Tensor | None,
     pose: Pose | None = None,
+    orders: Mapping[str, Tensor] | None = None,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
     needs = transfer.needs
@@ -66,8 +67,12 @@ def plan(
         raise InputError("fix_eye and fix_light: nothing is left to change, give one of them")
     name = "eye" if eye == "point" else "view"
 
+    def of(held: Transfer, dtype: torch.dtype) -> Shader:
+        whole = shader(held, dtype=dtype, exponent=exponent)
+        return whole if orders is None else fixed_orders(whole, orders)
+
     def made(dtype: torch.dtype) -> Shader:
-        return shader(transfer, dtype=dtype, exponent=exponent)
+        return of(transfer, dtype)
 
     incident = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
     inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
@@ -77,6 +82,8 @@ def plan(
     if exponent is not None:
         lobe = torch.as_tensor(exponent)
         about["exponent"] = float(lobe) if lobe.numel() == 1 else "one a receiver"
+    if orders is not None:
+        about["orders"] = {name: _counts(chosen) for name, chosen in orders.items()}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
 
     def from_source(module: Shader) -> Module:
@@ -123,10 +130,16 @@ def plan(
         inputs,
         transfer.vertices,
         about,
-        lambda: ShaderGraph(shader(held, dtype=torch.float32, exponent=exponent), source, size, eye, chosen),
+        lambda: ShaderGraph(of(held, torch.float32), source, size, eye, chosen),
         lambda: from_source(made(torch.float64)),
         single=() if chosen is None else (chosen,),
     )
+
+
+def _counts(chosen: Tensor) -> dict[int, int]:
+    """How many receivers stand at which order."""
+    found, counts = torch.unique(chosen, return_counts=True)
+    return dict(zip(found.tolist(), counts.tolist(), strict=True))
 
 
 def _check_words(source: str, size: int, eye: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -22,13 +24,13 @@ class TurnedProduct:
     """
 
     def __init__(self, light: Float[Tensor, "*B N C"]):
-        self.order, self.batch = order_of(light.shape[-2]), light.shape[:-2]
+        self.order, self.shape = order_of(light.shape[-2]), (*light.shape[:-2], light.shape[-1])
         swap, self.mirrored, self.size_of_m, self.sine_of_m = euler._constants(light.device, self.order, light.dtype)
         self.swap = swap
         same, mirrored = _folds(light.device, self.order, light.dtype)
         rows = light.mT.unsqueeze(-2)
         folded = torch.cat([rows * same, rows[..., self.mirrored] * mirrored], -2)
-        self.rows = (folded @ torch.block_diag(*swap)).reshape(-1, self.order**2)
+        self.rows = (folded @ torch.block_diag(*swap)).reshape(math.prod(self.shape) * folded.shape[-2], -1)
 
     def __call__(self, vectors: Float[Tensor, "N G"], turns: Tensor) -> Float[Tensor, "*B C G"]:
         powers = euler._powers(turns, self.order)
@@ -39,8 +41,8 @@ class TurnedProduct:
             torch.mm(block, row, out=result)
         tilted = self._about_z(swapped, powers[1], mixed)
         last = torch.cat([powers[2].real, powers[2].imag[1:]])
-        weighted = (self.rows @ tilted).view(-1, len(last), vectors.shape[-1]).mul_(last)
-        return weighted.sum(1).view(*self.batch, -1, vectors.shape[-1])
+        found = (self.rows @ tilted).view(*self.shape, len(last), vectors.shape[-1])
+        return found.mul_(last).sum(-2)
 
     def _about_z(self, vectors: Tensor, powers: Tensor, out: Tensor | None = None) -> Tensor:
         sines = powers.imag

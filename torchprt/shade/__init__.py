@@ -8,6 +8,7 @@ from .display import agx, display, filmic, neutral, srgb, tone_mapped
 from .environment import EnvironmentShader
 from .eye_layer import ExitLayer, EyeLayerModule, FactoredLayer
 from .fixed_light import FixedLightShader
+from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
 from .patch import lay, sample
@@ -41,6 +42,7 @@ __all__ = [
     "at_rest",
     "display",
     "filmic",
+    "fixed_orders",
     "lay",
     "layer_module",
     "neutral",

@@ -54,8 +54,9 @@ class AdaptiveShader(nn.Module):
       neither happens.
     - `diffuse`, `specular`: thresholds of the layers that do not and that do depend on the eye, in units of white:
       `shade.white(light)`, the radiance of a white surface that faces the light, with which pictures are exposed. So a
-      brighter light changes nothing. None shades the layer whole; 0 goes to the last order everywhere, which is what
-      `shader` does, to rounding; infinity stays at the first of `levels`.
+      brighter light changes nothing. None shades the layer whole, which for dense transfer vectors, where a receiver is
+      a few multiplications, is faster (docs/adaptive.md); 0 goes to the last order everywhere, which is what `shader`
+      does, to rounding; infinity stays at the first of `levels`.
     - `levels`: the orders, from the one that is everywhere to that of the shader; 3, 5, 7 and so on if omitted.
     - `against`: the difference is that from the order below ("last"), or from the first order ("base").
     - `hysteresis`: a receiver that is in leaves at this part of the threshold. It takes effect where `regions` of the
@@ -86,12 +87,12 @@ class AdaptiveShader(nn.Module):
         shader: Shader,
         faces: Tensor | None = None,
         *,
-        diffuse: float | int | None = 0.01,
+        diffuse: float | int | None = None,
         specular: float | int | None = 0.02,
         levels: Sequence[int] | None = None,
         against: str = "last",
         hysteresis: float | int = 0.5,
-        blend: float | int = 0.25,
+        blend: float | int = 0.1,
         rings: int = 2,
         grow: bool = True,
     ):

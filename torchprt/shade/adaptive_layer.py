@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchprt.shade.batches import receivers_of
 from torchprt.shade.layer import LayerModule
+from torchprt.shade.levels import Level
 from torchprt.shade.regions import Gate, Neighbours
 
 # A region stops growing where fewer receivers than this part of all gained more than this part of a level: what
@@ -66,7 +67,7 @@ class AdaptiveLayer:
 
     def base(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Float[Tensor, "... 3 G"]:
         """Radiance at the first order, without the weight."""
-        return self.levels.at(0, light, values, frames, None, None)
+        return self.levels.at(0, light, values, frames)()
 
     def __call__(
         self,
@@ -82,7 +83,7 @@ class AdaptiveLayer:
         if len(self.orders) == 1 or math.isinf(self.gate.enter):
             return first * self.layer.weight.T, Region((), reached)
         # Everything stands at this order.
-        second = self.levels.at(1, light, values, frames, None, (0, first))
+        second = self.levels.at(1, light, values, frames)(None, (0, first))
         reached.fill_(self.orders[1])
         threshold = white.unsqueeze(-1)
         # What is shown, what the highest order that was evaluated gives, and what that changed.
@@ -96,11 +97,13 @@ class AdaptiveLayer:
             if not len(chosen):
                 weights += [torch.zeros_like(weight)] * (len(self.orders) - level)
                 break
-            shown = total if self.against == "last" else first
+            shown, at = total if self.against == "last" else first, self.levels.at(level, light, values, frames)
 
-            def evaluated(some: Tensor, below: tuple[int, Tensor], level: int = level, shown: Tensor = shown) -> None:
+            def evaluated(
+                some: Tensor, below: tuple[int, Tensor], level: int = level, shown: Tensor = shown, at: Level = at
+            ) -> None:
                 nonlocal radiance, difference
-                found = self.levels.at(level, light, values, frames, some, below)
+                found = at(some, below)
                 radiance = radiance.index_copy(-1, some, found)
                 difference = difference.index_copy(-1, some, self._difference(found, receivers_of(shown, some), some))
                 reached[some] = self.orders[level]

@@ -41,6 +41,8 @@ class LayerModule(KeepsSingle, abc.ABC):
 
     signal: SignalModule
     receivers: Tensor | None
+    # Bands of the light that it answers to, None for all.
+    bands: int | None = None
 
     def __init__(self, layer: Layer, making: Making, lost: Tensor | None = None):
         """`lost [.]`: numbers of the receivers, among those of the layer, that have nothing."""
@@ -83,13 +85,23 @@ class LayerModule(KeepsSingle, abc.ABC):
     ) -> Float[Tensor, "... 3 G"]:
         """Radiance `[*B, 3, G]` under lights of the world, toward the eyes of `values`, in poses; in the dtype of the
         weight, as everything that it is made of."""
-        weight = self.weight
+        light, weight = self.lit(light), self.weight
         if len(weight) == 1:
             # One weight for all receivers: applied to N numbers instead of G.
             return self.sent(light * weight, values, frames, out).to(weight.dtype)
         radiance = self.sent(light, values, frames, out)
         # Autocast may have made it narrower.
         return (radiance * weight.T).to(weight.dtype) if out is None else radiance.mul_(weight.T)
+
+    def lit(self, light: Float[Tensor, "*B N 3"]) -> Float[Tensor, "*B n 3"]:
+        """Of a light what the layer answers to."""
+        return light if self.bands is None else light[..., : self.bands**2, :]
+
+    def at_order(self: M, order: int, index: Tensor) -> M:
+        """About those of its receivers that `index` names, for the first `order` bands of the light."""
+        made = self.taken(index, self.signal.part(0, order, index))
+        made.bands = order
+        return made
 
     def levels(self, orders: Sequence[int]) -> Levels:
         """The layer at rising orders of the light, for adaptive shading; InputError if that has no meaning for it."""

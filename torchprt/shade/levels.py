@@ -5,15 +5,27 @@ from __future__ import annotations
 import abc
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.shade.batches import receivers_of
 
 if TYPE_CHECKING:
     from torchprt.shade.layer import LayerModule
+
+
+@runtime_checkable
+class Level(Protocol):
+    """A layer at some order, under a light: what does not depend on the receivers was made once."""
+
+    def __call__(self, receivers: Tensor | None = None, below: tuple[int, Tensor] | None = None) -> Tensor:
+        """Radiance `[*B, 3, g]` of `receivers [g]`, all if None, without the weight.
+
+        `below`: a lower level and the radiance of these receivers there, which may spare some of the work.
+        """
 
 
 class Levels(abc.ABC):
@@ -33,13 +45,10 @@ class Levels(abc.ABC):
         light: Float[Tensor, "*#B N 3"],
         values: Float[Tensor, "*#B G M"] | None,
         frames: Float[Tensor, "*#B G 3 3"] | None,
-        receivers: Tensor | None,
-        below: tuple[int, Tensor] | None,
-    ) -> Float[Tensor, "... 3 g"]:
-        """Radiance of `receivers [g]`, all if None, at `orders[level]`, without the weight.
+    ) -> Level:
+        """What shades receivers at `orders[level]`, under a light, toward the eyes of `values`, in poses.
 
-        `light`, `values` and `frames` are those of the whole layer. `below`: a lower level and the radiance of these
-        receivers there, which may spare some of the work.
+        `light`, `values` and `frames` are those of the whole layer.
         """
 
     @abc.abstractmethod
@@ -61,22 +70,21 @@ class LinearLevels(Levels):
                 "at any order of the light: call the shader itself, or give None as the threshold of that layer"
             )
 
-    def at(
-        self,
-        level: int,
-        light: Tensor,
-        values: Tensor | None,
-        frames: Tensor | None,
-        receivers: Tensor | None,
-        below: tuple[int, Tensor] | None,
-    ) -> Float[Tensor, "... 3 g"]:
-        first, last = 0 if below is None else self.orders[below[0]], self.orders[level]
-        if receivers is not None:
-            values = None if values is None else values.index_select(-2, receivers)
-            frames = None if frames is None else frames.index_select(-3, receivers)
-        part = self.layer.signal.part(first, last, receivers)
-        added = part.radiance(light[..., first * first : last * last, :], values, frames)
-        return added if below is None else below[1] + added
+    def at(self, level: int, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Level:
+        last, signal = self.orders[level], self.layer.signal
+
+        def shaded(receivers: Tensor | None = None, below: tuple[int, Tensor] | None = None) -> Tensor:
+            first = 0 if below is None else self.orders[below[0]]
+            seen, posed = values, frames
+            if receivers is not None:
+                seen = None if seen is None else receivers_of(seen.mT, receivers).mT
+                posed = None if posed is None else posed.index_select(-3, receivers)
+            added = signal.part(first, last, receivers).radiance(
+                light[..., first * first : last * last, :], seen, posed
+            )
+            return added if below is None else below[1] + added
+
+        return shaded
 
     def multiplications(self, level: int, below: int | None) -> int:
         first, last = 0 if below is None else self.orders[below], self.orders[level]

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from torchprt.sh import basis, gauss_legendre_hemisphere, hemisphere_basis, hemisphere_nodes
 from torchprt.sh.turned_product import euler_turns
-from torchprt.shade.batches import receivers_of
-from torchprt.shade.levels import Levels
+from torchprt.shade.levels import Level, Levels
 from torchprt.shade.signal import SignalModule
 
 if TYPE_CHECKING:
@@ -85,23 +84,16 @@ class ProductLevels(Levels):
         onto, functions, harmonics = carried
         return Rule(layer.kernel @ onto, functions, harmonics)
 
-    def at(
-        self,
-        level: int,
-        light: Tensor,
-        values: Tensor | None,
-        frames: Tensor | None,
-        receivers: Tensor | None,
-        below: tuple[int, Tensor] | None,
-    ) -> Float[Tensor, "... 3 g"]:
+    def at(self, level: int, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Level:
         assert values is not None
-        rule, layer, order = self.rule(level), self.layer, self.orders[level]
-        signal = layer.signal.part(0, math.isqrt(rule.functions.shape[1]), receivers)
-        turned, turns = layer.frames, self.turns
-        if receivers is not None:
-            values = receivers_of(values.mT, receivers).mT
-            turned, turns = receivers_of(turned, receivers), receivers_of(turns, receivers)
-        return layer.products(light[..., : order * order, :], values, signal, turned, turns, rule)
+        # Once for all receivers that will be asked for.
+        rule, order = self.rule(level), self.orders[level]
+        shaded = self.layer.products(light[..., : order * order, :], values, rule, self.turns)
+
+        def at(receivers: Tensor | None = None, below: tuple[int, Tensor] | None = None) -> Tensor:
+            return shaded(receivers)
+
+        return at
 
     def multiplications(self, level: int, below: int | None) -> int:
         rule = self.rule(level)

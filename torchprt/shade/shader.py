@@ -127,6 +127,9 @@ class Shader(nn.Module):
             if values is not None and values.ndim != 2:
                 raise InputError("eye or view has a batch: fix one at a time, of shape [3]")
             vectors = (layer.toward(values, posed) * layer.weight.T.unsqueeze(1)).to(self.dtype)
+            # Of a layer that answers to fewer bands.
+            missing = self.order**2 - vectors.shape[1]
+            vectors = vectors if missing == 0 else nn.functional.pad(vectors, (0, 0, 0, missing))
             total = layer.spread(vectors, total, self.vertices)
         assert total is not None
         return total
@@ -158,7 +161,7 @@ class Shader(nn.Module):
         for name, layer in self.layers.items():
             if "eye" in layer.needs:
                 seen[name] = layer
-                coefficients[name] = (layer.under(light) * layer.weight.T.unsqueeze(-2)).to(self.dtype)
+                coefficients[name] = (layer.under(layer.lit(light)) * layer.weight.T.unsqueeze(-2)).to(self.dtype)
             else:
                 radiance = layer.spread(layer(light), radiance, self.vertices)
         return FixedLightShader(seen, coefficients, radiance, self.vertices, self.order)

@@ -34,7 +34,8 @@ def toward_eye(
     """World directions toward the eye, of any length, `[3, *B, G]`; G = 1 for `view`, one direction for all receivers.
 
     Batches of `points`, one for each pose, and of eyes broadcast.
-    Narrow ones are used in float32. Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
+    Narrow ones are used in float32.
+    Raises InputError unless exactly one is given, it has three components and, where values may be looked at, they
     are finite and `view` is not zero.
     """
     if (eye is None) == (view is None):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float
@@ -14,12 +15,14 @@ from torchprt.sh.basis import only_values_are_wanted
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.precision import without_autocast
 from torchprt.sh.turned_product import TurnedProduct, euler_turns
-from torchprt.shade.batches import light_product
+from torchprt.shade.batches import light_product, receivers_of
 from torchprt.shade.eye_layer import EyeLayerModule
 from torchprt.shade.layer import layer_module
 from torchprt.shade.product_levels import ProductLevels, Rule, local_products
 from torchprt.shade.signal import Making, SignalModule, hold
 from torchprt.transfer import Visibility
+
+V = TypeVar("V", bound="VisibilityLayer")
 
 
 @layer_module.register(Visibility)
@@ -88,31 +91,57 @@ class VisibilityLayer(EyeLayerModule):
         if out is not None or torch.compiler.is_compiling():
             return light_product(light, self.toward(values), out=out)
         assert values is not None
-        return self.products(light, values, self.signal, self.frames, None, self.rule())
+        return self.products(light, values, self.rule(), None)(None)
 
     def products(
-        self,
-        light: Float[Tensor, "*#B N 3"],
-        values: Float[Tensor, "*#B g M"],
-        signal: SignalModule,
-        frames: Float[Tensor, "3 3 g"],
-        turns: Tensor | None,
-        rule: Rule,
-    ) -> Float[Tensor, "... 3 g"]:
-        """Radiance of some receivers, without the weight; `turns` as of `sh.euler_turns`, made here if not given."""
-        if math.prod(values.shape[:-2]) != 1 or not only_values_are_wanted(light, values, rule.kernel, frames):
-            vectors = self.in_pieces(values, signal, frames, rule)
-            return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
-        wide = frames.dtype
-        product = TurnedProduct(light.to(wide))
-        turns = euler_turns(frames.transpose(0, 1)) if turns is None else turns
-        found, start = [], 0
-        for local in local_products(values.reshape(values.shape[-2:]).mT, signal, rule):
-            some = slice(start, start + local.shape[-1])
-            found.append(without_autocast(product)(local.to(wide), turns[:, some]))
-            start = some.stop
-        radiance = torch.cat(found, -1).to(light.dtype)
-        return radiance.reshape(*torch.broadcast_shapes(light.shape[:-2], values.shape[:-2]), *radiance.shape[-2:])
+        self, light: Float[Tensor, "*#B N 3"], values: Float[Tensor, "*#B G M"], rule: Rule, turns: Tensor | None
+    ) -> Callable[[Tensor | None], Tensor]:
+        """From some receivers, or None for all, to their radiance `[*B, 3, g]` by a rule, without the weight.
+
+        `turns` as of `sh.euler_turns`, made here if not given.
+        """
+        seen = math.isqrt(rule.functions.shape[1])
+        if math.prod(values.shape[:-2]) != 1 or not only_values_are_wanted(light, values, rule.kernel, self.frames):
+
+            def by_vectors(receivers: Tensor | None) -> Tensor:
+                some, frames = values, self.frames
+                if receivers is not None:
+                    some, frames = receivers_of(some.mT, receivers).mT, receivers_of(frames, receivers)
+                vectors = self.in_pieces(some, self._among(seen, receivers), frames, rule)
+                return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
+
+            return by_vectors
+        wide, batch = self.frames.dtype, torch.broadcast_shapes(light.shape[:-2], values.shape[:-2])
+        product = without_autocast(TurnedProduct(light.to(wide)).__call__)
+        rows = values.reshape(values.shape[-2:]).mT
+        turned = euler_turns(self.frames.transpose(0, 1)) if turns is None else turns
+
+        def by_turns(receivers: Tensor | None) -> Tensor:
+            some, about = rows, turned
+            if receivers is not None:
+                some, about = receivers_of(some, receivers), receivers_of(about, receivers)
+            local = local_products(some, self._among(seen, receivers), rule)
+            sizes, found = 0, []
+            for piece in local:
+                found.append(product(piece.to(wide), about[:, sizes : sizes + piece.shape[-1]]))
+                sizes += piece.shape[-1]
+            radiance = torch.cat(found, -1).to(light.dtype)
+            return radiance.reshape(*batch, *radiance.shape[-2:])
+
+        return by_turns
+
+    def _among(self, order: int, receivers: Tensor | None) -> SignalModule:
+        """The first bands of visibility of some receivers."""
+        whole = receivers is None and order * order == self.signal.shape[3]
+        return self.signal if whole else self.signal.part(0, order, receivers)
+
+    def at_order(self: V, order: int, index: Tensor) -> V:
+        rule = ProductLevels(self, (order,)).rule(0)
+        made = self.taken(index, self.signal.part(0, math.isqrt(rule.functions.shape[1]), index))
+        made = made.changed(kernel=rule.kernel, functions=rule.functions, harmonics=rule.harmonics)
+        made.turn = Rotation(order, self.frames.dtype).to(self.frames.device)
+        made.bands = order
+        return made
 
     def levels(self, orders: Sequence[int]) -> ProductLevels:
         return ProductLevels(self, orders)

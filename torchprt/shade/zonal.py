@@ -87,8 +87,10 @@ class ZonalSignal(SignalModule):
         return lobe_vectors(*self.lobes(values, frames)).to(self.coefficients.dtype)[:, self.columns]
 
     def part(self, first: int, last: int, receivers: Tensor | None = None) -> ZonalSignal:
-        # Bands 0 and 1 may be held apart, whole.
-        bands = max(last, 2) - 2 if self.exact.shape[2] else last
+        whole = self.exact.shape[2] > 0
+        if whole and last < 2:
+            raise InputError("bands 0 and 1 of zonal lobes are held as one: give orders of 2 or more")
+        bands = last - 2 if whole else last
         held = {"axis": self.axis, "coefficients": self.coefficients[:, :, :, :bands], "exact": self.exact}
         made = copy.copy(self)
         made._buffers, made._parameters = dict(self._buffers), {}
