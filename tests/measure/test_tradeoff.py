@@ -168,6 +168,24 @@ def test_adaptive_shading_of_no_threshold_is_that_of_all_bands_and_a_threshold_l
     assert len({point.timing for point in found.points}) == 4
 
 
+def test_a_graph_is_made_once_and_loses_only_rounding(swept, untyped, monkeypatch):
+    from torchprt.measure import sweeping
+
+    made, make = [], sweeping.runner_of
+
+    def counted(transfer, recipe):
+        made.append(recipe.runtime)
+        return make(transfer, recipe)
+
+    monkeypatch.setattr(sweeping, "runner_of", counted)
+    found = swept(recipes=[BASE, BASE.replace(runtime="onnx")])
+    assert made.count("onnx") == 1
+    eager, graph = found.points
+    # Sums of nine products in another order.
+    assert graph.error == pytest.approx(eager.error, rel=1e-4)
+    assert graph.timing != eager.timing
+
+
 def test_one_bar_tells_all_of_it(swept):
     heard = []
 
