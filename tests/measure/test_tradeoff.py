@@ -168,6 +168,24 @@ def test_adaptive_shading_of_no_threshold_is_that_of_all_bands_and_a_threshold_l
     assert len({point.timing for point in found.points}) == 4
 
 
+def test_a_graph_is_made_once_and_loses_only_rounding(swept, untyped, monkeypatch):
+    from torchprt.measure import sweeping
+
+    made, make = [], sweeping.runner_of
+
+    def counted(transfer, recipe):
+        made.append(recipe.runtime)
+        return make(transfer, recipe)
+
+    monkeypatch.setattr(sweeping, "runner_of", counted)
+    found = swept(recipes=[BASE, BASE.replace(runtime="onnx")])
+    assert made.count("onnx") == 1
+    eager, graph = found.points
+    # Sums of nine products in another order.
+    assert graph.error == pytest.approx(eager.error, rel=1e-4)
+    assert graph.timing != eager.timing
+
+
 def test_one_bar_tells_all_of_it(swept):
     heard = []
 
@@ -245,6 +263,14 @@ def test_a_folder_of_something_else_is_refused_and_kept(found, tmp_path):
     for place in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(InputError, match="file"):
             check_folder(place)
+
+
+def test_the_reference_alone_is_nothing_to_compare(swept, tmp_path):
+    transfer = bake(room(), order=3, rays=16, progress=False)
+    found = swept(transfer, recipes=[Recipe(3, 16)])
+    with pytest.raises(InputError, match="only the reference was tried"):
+        save_tradeoff(found, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_recipes_of_one_name_are_two_rows(swept):

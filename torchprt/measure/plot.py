@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import textwrap
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,8 @@ _LABELS = {"seconds": "milliseconds a frame, one thread", "bytes": "megabytes"}
 _UNITS = {"seconds": 1e3, "bytes": 2.0**-20}
 # Errors below, as of what only rounds otherwise than the bake that was given, are drawn here.
 _LEAST = 1e-4
+# In costs of the dearest point of the front: what costs more stands here, beside what it costs.
+_EDGE = 10.0
 
 
 def save_plot(found: Tradeoff, path: str | os.PathLike[str]) -> None:
@@ -90,6 +93,7 @@ def _kind(found: Tradeoff, recipe: Recipe) -> str:
 
 def _panel(axes: Any, found: Tradeoff, by: Cost, numbered: dict[Recipe, int]) -> None:
     points = found.candidates
+    edge = _EDGE * max(point.cost(by) for point in (found.base, *found.front(by)))
     for kind, (colour, mark) in _KINDS.items():
         for onnx in (False, True):
             those = [p for p in points if _kind(found, p.recipe) == kind and (p.recipe.runtime == "onnx") == onnx]
@@ -97,10 +101,15 @@ def _panel(axes: Any, found: Tradeoff, by: Cost, numbered: dict[Recipe, int]) ->
                 continue
             filled = {} if mark in "x+" else {"facecolors": colour if onnx else "none", "edgecolors": colour}
             plain = {"c": colour} if mark in "x+" else {}
-            x, y = zip(*(_place(point, by) for point in those), strict=True)
+            x, y = zip(*(_place(point, by, edge) for point in those), strict=True)
             axes.scatter(
                 x, y, s=34, marker=mark, linewidths=1.2, alpha=0.75, label=_label(kind, onnx), **filled, **plain
             )
+    for point in points:
+        if point.cost(by) > edge:
+            said = f"{amount(by, point.cost(by))} \u2192"
+            place = _place(point, by, edge)
+            axes.annotate(said, place, (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=8)
     line = found.front(by)
     x, y = zip(*(_place(point, by) for point in line), strict=True)
     axes.step(x, y, where="post", color="black", linewidth=1.3, zorder=1, label="front: nothing beats these")
@@ -122,8 +131,8 @@ def _panel(axes: Any, found: Tradeoff, by: Cost, numbered: dict[Recipe, int]) ->
         axes.legend(fontsize=8, loc="best", framealpha=0.85)
 
 
-def _place(point: Point, by: Cost) -> tuple[float, float]:
-    return _UNITS[by] * point.cost(by), 100 * max(point.error, _LEAST)
+def _place(point: Point, by: Cost, edge: float = math.inf) -> tuple[float, float]:
+    return _UNITS[by] * min(point.cost(by), edge), 100 * max(point.error, _LEAST)
 
 
 def _halves(axes: Any, found: Tradeoff, by: Cost) -> None:
@@ -153,7 +162,7 @@ def _halves(axes: Any, found: Tradeoff, by: Cost) -> None:
         axes.annotate("", to, from_, arrowprops=arrow, zorder=4)
     said = str(half).replace("->", "\u2192")
     axes.set_title(
-        "\n".join(textwrap.wrap(said[0].upper() + said[1:], 74)), fontsize=10.5, loc="left", fontweight="bold"
+        "\n".join(textwrap.wrap(said[0].upper() + said[1:], 70)), fontsize=10.5, loc="left", fontweight="bold"
     )
 
 

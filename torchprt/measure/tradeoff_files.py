@@ -29,10 +29,13 @@ def save_tradeoff(found: Tradeoff, folder: str | os.PathLike[str]) -> None:
     """Writes `table.csv`, `table.md`, `pareto.png`, `front.png` and `recipe-NN.toml` of the points on the fronts.
 
     They are numbered as in the plot, the least error first. A folder of an earlier sweep is replaced as a whole.
-    Raises InputError if matplotlib is not installed, the folder holds something else or cannot be written.
+    Raises InputError if nothing but the reference was tried, matplotlib is not installed, or the folder holds something
+    else or cannot be written.
     """
     check_folder(folder)
     check_matplotlib()
+    if not found.candidates:
+        raise InputError("only the reference was tried: there is nothing to compare, give other recipes")
     with atomic_folder(folder) as made:
         written = table(found)
         written.to_csv(made / CSV)
