@@ -3,7 +3,7 @@
     python scripts/published_adaptive.py OUT [TABLE ...]
 
 Bakes are kept in OUT (delete them to have them made anew). The paper's models and its renderer are not available: what
-is compared are ratios, on the sculpture and the teapot of the samples at about 50 000 vertices, and on the scanned bunny
+is compared are ratios, on the sculpture and the teapot of the samples at about 50 000 vertices, and on a scanned bunny
 (TORCHPRT_DATA names a folder with mesh/bunny.ply and hdri/*.exr; without it the head of the samples and built-in lights
 stand in). Times are CPU time of one thread, in turn. "Level" l of the paper is order l + 1.
 
@@ -157,7 +157,7 @@ class Case:
 def table1() -> Table:
     """The paper: 2.2 to 3.4 times, diffuse 9 to 19 % filtered, specular 73 to 91 %."""
     table = Table(
-        f"table 1, order {ORDER}, T = .02 specular (.01 diffuse where it is not whole). Published: 2.20 - 3.38"
+        f"table 1, order {ORDER}, T = .02 specular, .01 diffuse unless whole. Published: 2.20 - 3.38"
     )
     ways: dict[str, dict[str, Any]] = {
         "": {},
