@@ -156,9 +156,7 @@ class Case:
 
 def table1() -> Table:
     """The paper: 2.2 to 3.4 times, diffuse 9 to 19 % filtered, specular 73 to 91 %."""
-    table = Table(
-        f"table 1, order {ORDER}, T = .02 specular, .01 diffuse unless whole. Published: 2.20 - 3.38"
-    )
+    table = Table(f"table 1, order {ORDER}, T = .02 specular, .01 diffuse unless whole. Published: 2.20 - 3.38")
     ways: dict[str, dict[str, Any]] = {
         "": {},
         ", no growth": {"grow": False},

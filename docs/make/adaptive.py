@@ -1,6 +1,6 @@
 """The picture of docs/adaptive.md: at which order receivers stand, and what that loses.
 
-    python docs/make/adaptive.py
+python docs/make/adaptive.py
 """
 
 from __future__ import annotations
