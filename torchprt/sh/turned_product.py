@@ -30,7 +30,7 @@ class TurnedProduct:
         same, mirrored = _folds(light.device, self.order, light.dtype)
         rows = light.mT.unsqueeze(-2)
         folded = torch.cat([rows * same, rows[..., self.mirrored] * mirrored], -2)
-        self.rows = (folded @ torch.block_diag(*swap)).reshape(math.prod(self.shape) * folded.shape[-2], -1)
+        self.rows = (folded @ torch.block_diag(*swap)).reshape(math.prod(self.shape) * folded.shape[-2], self.order**2)
 
     def __call__(self, vectors: Float[Tensor, "N G"], turns: Tensor) -> Float[Tensor, "*B C G"]:
         powers = euler._powers(turns, self.order)

@@ -67,7 +67,7 @@ class AdaptiveShader(nn.Module):
 
     Laws: scaling the light scales radiance. Adding lights adds radiance to within the thresholds. A light in a batch
     gets what it gets alone, but for regions that grew together: work is done for the union of all regions. Radiance is
-    continuous in light and eye if `blend` is above zero, so nothing pops.
+    continuous in light and eye if `blend` is above zero, but for where growing ends.
     Dynamic: which receivers are evaluated depends on values, so the module cannot be compiled or exported as a graph;
     `fixed_orders` can.
 
