@@ -16,9 +16,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 
-import rich
 import torch
 from bake import scene_to_measure
+from rich.console import Console
 
 from torchprt import light as lights
 from torchprt.measure import Recipe, Table, bake_recipe, error_under, frame_of, plan, store_recipe, time_it
@@ -122,22 +122,19 @@ def run(names: list[str]) -> None:
         ratio = costs["planned"] / costs[least_key] if least_key is not None else math.nan
         met += achieved <= error
         cheap += not ratio > 1.5  # Also where the grid has none.
-        extra = {
-            "asked": error,
-            "predicted": found.predicted["error"],
-            "met": "yes" if achieved <= error else "NO",
-            "ms": times["planned"],
-            "ms predicted": found.predicted["milliseconds"],
-            "bake, s": seconds,
-            "predicted, s": found.predicted["seconds"],
+        predicted = found.predicted
+        extra: dict[str, float | int | str] = {
+            "predicted, asked": f"{predicted['error']:.2%}, {error:.0%}",
+            "ms, predicted": f"{times['planned']:.3g}, {predicted['milliseconds']:.3g}",
+            "bake s, predicted": f"{seconds:.3g}, {predicted['seconds']:.3g}",
             "least": least,
-            "of the best": ratio,
+            "of the best": "none keeps to it" if math.isnan(ratio) else f"{ratio:.2f}",
             "swept": count,
-            "planning, s": taken,
+            "planning, s": f"{taken:.0f}",
         }
-        table.add(f"{name}: {found.recipe.name}", error=achieved, bytes=made.bytes, extra=extra)
-        print(name, f"{achieved:.4f}", extra, best[least_key][0].name if least_key else "none", flush=True)
-    rich.print(table)
+        row = table.add(f"{name}: {found.recipe.name}", error=achieved, bytes=made.bytes, extra=extra)
+        print(row, best[least_key][0].name if least_key else "none", flush=True)
+    Console(width=220).print(table)
     print(f"{met} of {len(names)} keep to the error, {cheap} cost at most 1.5 times the best of the sweep")
 
 
