@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchprt.errors import InputError
 from torchprt.shade.adaptive_layer import AdaptiveLayer, Region
 from torchprt.shade.levels import check_orders, default_orders
-from torchprt.shade.regions import Gate, Neighbours
+from torchprt.shade.regions import Gate, Neighbours, check_faces
 from torchprt.shade.shader import Shader, turned_light
 from torchprt.shade.white import white
 
@@ -107,6 +107,8 @@ class AdaptiveShader(nn.Module):
             raise InputError(f"against '{against}' is unknown: use 'last' or 'base'")
         if rings < 0:
             raise InputError(f"rings is {rings}: give zero or more")
+        if faces is not None:
+            check_faces(faces, shader.vertices)
         self.shader, self.needs, self.order = shader, shader.needs, shader.order
         self.orders = check_orders(default_orders(shader.order) if levels is None else levels, shader.order)
         self.thresholds = {"diffuse": diffuse, "specular": specular}

@@ -21,10 +21,7 @@ class Neighbours:
     """
 
     def __init__(self, faces: Tensor, count: int, among: Tensor | None = None):
-        if faces.ndim != 2 or faces.shape[1] != 3:
-            raise InputError(f"faces have shape {list(faces.shape)}: give triangles, [F, 3]")
-        if faces.numel() and (int(faces.min()) < 0 or int(faces.max()) >= count):
-            raise InputError(f"faces name vertices outside 0 to {count - 1}: give those of the transfer of the shader")
+        check_faces(faces, count)
         corners = faces.long()
         if among is not None:
             place = corners.new_full((count,), -1)
@@ -73,6 +70,14 @@ class Neighbours:
         at = owner.expand(*values.shape[:-1], len(other))
         below = values.new_zeros(*values.shape[:-1], len(receivers))
         return below.scatter_reduce(-1, at, receivers_of(values, other), "amax")
+
+
+def check_faces(faces: Tensor, count: int) -> None:
+    """InputError unless they are triangles of `count` vertices."""
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"faces have shape {list(faces.shape)}: give triangles, [F, 3]")
+    if faces.numel() and (int(faces.min()) < 0 or int(faces.max()) >= count):
+        raise InputError(f"faces name vertices outside 0 to {count - 1}: give those of the transfer of the shader")
 
 
 @dataclass(frozen=True)
