@@ -47,7 +47,7 @@ CASES: dict[str, tuple[Callable[[], Scene], tuple[str, ...], float, str]] = {
     "wing": (lambda: samples.wing(48), ("studio",), 0.03, "milliseconds"),
     "bunny": (scene_to_measure, ("studio", "sky"), 0.01, "milliseconds"),
     "teapot": (lambda: samples.teapot(8_000), ("studio", "sky"), 0.1, "milliseconds"),
-    "shiny": (lambda: shiny(samples.organic(6_000), "phong:12"), ("overcast",), 0.05, "bytes"),
+    "shiny": (lambda: shiny(samples.organic(8_000), "phong:12"), ("overcast",), 0.05, "bytes"),
 }
 
 
@@ -64,6 +64,7 @@ def swept(scene: Scene, planned: Recipe, bounces: int) -> Iterator[tuple[Recipe,
     if glossy:
         frames = [{"frame": "exit", "output_order": order} for order in (3, 4, 5, 6)]
         frames += [{"frame": "visibility", "visibility_order": order} for order in (4, 6, 8)]
+        frames += [{"frame": "exit", "factors": factors} for factors in (2, 4, 8)]
     rays = (64, 256) if glossy else (64, 128, 256, 512, 1024)
     for frame, count, number in itertools.product(frames, rays, range(min(bounces, 3) + 1)):
         if number and frame.get("frame") == "visibility":
