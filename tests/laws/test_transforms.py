@@ -87,7 +87,8 @@ CALLS = {
 HOST = {
     "sh.Projection", "sh.Rotation", "sh.bands", "sh.clamped_cosine", "sh.cube_basis", "sh.cube_directions",
     "sh.cube_weights", "sh.exit_count", "sh.fibonacci", "sh.gaunt", "sh.gauss", "sh.gauss_legendre",
-    "sh.gauss_legendre_hemisphere", "sh.hann", "sh.hemisphere_error", "sh.hemisphere_gram", "sh.hemisphere_projection",
+    "sh.gauss_legendre_hemisphere", "sh.hann", "sh.hemisphere_error", "sh.hemisphere_gram", "sh.hemisphere_nodes",
+    "sh.hemisphere_projection",
     "sh.lanczos", "sh.latlong_basis", "sh.latlong_directions", "sh.latlong_weights", "sh.lebedev", "sh.order_of",
     "sh.project_function",
     "light.BUILT_IN", "light.DamagedImageWarning", "light.ImageReport", "light.WINDOWS", "light.built_in",

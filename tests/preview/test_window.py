@@ -157,7 +157,7 @@ def test_keys_change_light_order_window_and_bounces(window):
     for key, line, undo in (
         ("Right", "environment: right", ["Left"]),
         ("minus", "order: 3", ["equal"]),
-        ("w", "window: hann", ["w", "w", "w", "w"]),
+        ("w", "window: hann", ["w"] * 5),
         ("i", "bake: bounced, interreflected, 1 bounce", ["i"]),
         ("Up", None, ["Down"]),
     ):
