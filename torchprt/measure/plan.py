@@ -102,18 +102,16 @@ def plan(
     glossy = scene.requires().kind == "glossy"
     if glossy and eyes is None:
         eyes = eyes_around(scene)
-    told.start("probing", 2)
     wanted_error = goal or _ERRORS[0]
     output = _reference_output(scene, order_of(lights.shape[-2]), wanted_error) if glossy else 1
-    probe = Probe(scene, lights, eyes, count=count or (_FEW if glossy else _MANY), output_order=output, seed=seed)
-    told.advance(1)
-    search = _Search(scene, probe, runtime, window, least)
+    few = count or (_FEW if glossy else _MANY)
+    probe = Probe(scene, lights, eyes, count=few, output_order=output, seed=seed, report=told)
+    search = _Search(scene, probe, runtime, window, least, told)
     found: list[_Priced] = []
     for wanted in (goal,) if goal is not None else _ERRORS:
         found = search.at(wanted, milliseconds, bytes)
         fitting = [each for each in found if _within(each, milliseconds, bytes)]
         if fitting:
-            told.advance(1)
             return _told(probe, _least(fitting, least), wanted)
     raise InputError(_impossible(probe, found, goal, milliseconds, bytes, search))
 
@@ -134,8 +132,8 @@ class _Search:
     `nearest`: the least error that any of those tried has.
     """
 
-    def __init__(self, scene: Scene, probe: Probe, runtime: Runtime, window: str, least: Least):
-        self.scene, self.probe, self.least = scene, probe, least
+    def __init__(self, scene: Scene, probe: Probe, runtime: Runtime, window: str, least: Least, told: Report):
+        self.scene, self.probe, self.least, self._told = scene, probe, least, told
         self._fixed: dict[str, Any] = {"runtime": runtime, "window": window}
         self._costs: dict[Recipe, tuple[float, int]] = {}
         self.nearest = math.inf
@@ -152,13 +150,17 @@ class _Search:
         chosen = [recipe for kind in kinds.values() for recipe in kind[:_TIMED]]
         made = dict.fromkeys(chosen, 0.0)
         if self.probe.receivers >= _FEWEST_CLUSTERED and (self.least == "bytes" or bytes is not None):
-            plain = [recipe for recipe in dense if recipe.dtype == "float32"]
-            for recipe in plain[:_CLUSTERED]:
+            plain = [recipe for recipe in dense if recipe.dtype == "float32"][:_CLUSTERED]
+            self._told.start("clusters", len(plain))
+            for recipe in plain:
                 left = error**2 - self.probe.error(recipe).bound ** 2
                 packed = clustered(self.scene, self.probe, recipe, math.sqrt(max(left, 0.0)))
                 if packed is not None:
                     made[packed[0]] = packed[1]
+                self._told.advance(1)
+        self._told.start("timing", len(made))
         self._price(list(made))
+        self._told.advance(len(made))
         found = []
         for recipe, lost in made.items():
             estimate = self.probe.error(recipe)
@@ -168,12 +170,16 @@ class _Search:
         return found
 
     def _dense(self, error: float) -> Iterator[Recipe]:
-        for way in self._ways():
+        ways, orders = self._ways(), range(1, self.probe.order + 1)
+        self._told.start("recipes", len(ways) * len(orders))
+        for way in ways:
             first: int | None = None
-            for order in range(1, self.probe.order + 1):
+            for order in orders:
                 if self.least != "seconds" and first is not None and order > first + _MORE_ORDERS:
                     # More bands cost more of all but of rays.
+                    self._told.advance(len(orders) - order + 1)
                     break
+                self._told.advance(1)
                 recipe = self._enough(Recipe(order=order, **self._fixed, **way), error)
                 if recipe is None:
                     continue
@@ -202,7 +208,7 @@ class _Search:
         if self._keeps(flat, error):
             return flat
         counts = [0] if recipe.frame == "visibility" else self.probe.bounce_counts
-        # Few rays tell first whether bands and bounces can do it at all.
+        # The most rays tell first whether bands and bounces can do it at all.
         enough = next((b for b in counts if self._keeps(recipe.replace(bounces=b, rays=RAYS[-1]), error)), None)
         if enough is None:
             return None

@@ -15,6 +15,7 @@ from torchprt.light import windowed
 from torchprt.measure.model import bake_recipe
 from torchprt.measure.recipe import Recipe
 from torchprt.measure.sample import receivers_of, sample_scene
+from torchprt.progress import Report, Silent
 from torchprt.scene import Scene
 from torchprt.sh import order_of
 from torchprt.shade import shader
@@ -48,8 +49,8 @@ class Probe:
     of the recipe's rays is, for diffuse scenes, with the relative size that it has in direct light.
     A scene that has few receivers, or translucent ones, is baked whole.
 
-    `bounces`: after how many light is spent. Raises InputError as `bake`, if the scene is glossy and there is no eye,
-    or if the reference is black.
+    `bounces`: after how many light is spent. `report` is told of the bakes of the whole scene.
+    Raises InputError as `bake`, if the scene is glossy and there is no eye, or if the reference is black.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Probe:
         count: int = 800,
         output_order: int = 8,
         seed: int = 0,
+        report: Report | None = None,
     ):
         self.order = order_of(light.shape[-2])
         self.glossy = scene.requires().kind == "glossy"
@@ -83,7 +85,7 @@ class Probe:
         self._bounce_radiance: dict[tuple[object, ...], Tensor] = {}
         # Of the scene that is baked, some more than are looked at.
         self._recording = self.scene.geometry().receivers
-        self._bounced = self._bounces(scene, chosen)
+        self._bounced = self._bounces(scene, chosen, report or Silent())
         self.bounces = max(self._bounced)
         self.output_order = output_order
         self.reference = Recipe(
@@ -197,7 +199,7 @@ class Probe:
         """How many bounces are told apart: the first few, and as many as light takes to be spent."""
         return sorted(self._bounced)
 
-    def _bounces(self, scene: Scene, chosen: Tensor) -> dict[int, Transfer]:
+    def _bounces(self, scene: Scene, chosen: Tensor, told: Report) -> dict[int, Transfer]:
         """The whole scene with the first few bounces and with all, to be shaded at the chosen receivers."""
         rays = min(256, max(_FEWEST, _BOUNCE_RAYS // max(1, self.receivers)))
         order = min(self.order, _BOUNCE_ORDER)
@@ -214,7 +216,11 @@ class Probe:
 
         spent = bounced(math.inf)
         last = int(spent.bounces)
-        found = {number: bounced(number) for number in range(min(last, _MOST_BOUNCES + 1))}
+        found = {}
+        told.start("bounces", min(last, _MOST_BOUNCES + 1) + 1, 1)
+        for number in range(min(last, _MOST_BOUNCES + 1)):
+            found[number] = bounced(number)
+            told.advance(1)
         self._whole_seconds = (taken[-1] if len(taken) == 1 else taken[1], taken[0], rays)
         return {**found, last: spent}
 
