@@ -5,8 +5,8 @@
 Every scene of the project's own (and the bunny where TORCHPRT_DATA names it) is planned for a few lights and errors,
 baked whole as planned, and compared with a bake of the whole scene at the order of the lights, with 4096 rays of
 another seed and all bounces. Then a grid of recipes is measured against the same reference (diffuse: all orders, rays
-64 to 1024, bounces, types; glossy: orders and frames that are around the planned one): the cheapest of those that keep
-to the error is what a whole sweep would have found. Milliseconds are CPU time of one thread, interleaved.
+64 to 1024, bounces, types, and clusters where they are planned; glossy: orders and frames): the cheapest of those that
+keep to the error is what a whole sweep would have found. Milliseconds are CPU time of one thread, interleaved.
 """
 
 import itertools
@@ -75,6 +75,12 @@ def swept(scene: Scene, planned: Recipe, bounces: int) -> Iterator[tuple[Recipe,
             recipe = whole.replace(order=order, dtype=dtype)
             layers = {name: layer.to_order(order) for name, layer in baked.layers.items()}
             yield recipe, store_recipe(baked.with_layers(**layers), recipe)
+        if planned.clusters is None or glossy or count not in (256, 1024) or number != planned.bounces:
+            continue
+        for order, clusters, components in itertools.product(range(4, ORDER + 1), (16, 64, 256), (1, 2, 4, 8)):
+            recipe = whole.replace(order=order, clusters=clusters, components=components, bits=8)
+            layers = {name: layer.to_order(order) for name, layer in baked.layers.items()}
+            yield recipe, store_recipe(baked.with_layers(**layers), recipe)
     flat = Recipe(order=ORDER, shadows=False, **frames[0])  # type: ignore[arg-type]
     baked = bake_recipe(scene, flat, progress=False)
     for order in range(2, ORDER + 1):
@@ -98,7 +104,6 @@ def run(names: list[str]) -> None:
         exact = Recipe(order=ORDER, rays=GLOSSY_RAYS if glossy else RAYS)
         if glossy:
             exact = exact.replace(frame="exit", output_order=8)
-        start = time.perf_counter()
         reference = bake_recipe(scene, exact, progress=False, seed=7, bounces=math.inf)
         wanted = radiance(reference, exact, light, eyes)
         start = time.perf_counter()
@@ -112,7 +117,8 @@ def run(names: list[str]) -> None:
             if error_under(radiance(stored, recipe, light, eyes), wanted) > error:
                 continue
             # One of each shape: rays and bounces of one channel change neither time nor bytes.
-            key = f"{recipe.frame} {recipe.output_order} {recipe.order} {recipe.dtype} {stored.channels}"
+            changes = {"rays": 1, "bounces": 0} if recipe.shadows else {}
+            key = f"{recipe.replace(**changes).name} {stored.channels}"
             best.setdefault(key, (recipe, stored))
         frames = {key: frame_of(stored, recipe, light[:1], eyes[0]) for key, (recipe, stored) in best.items()}
         frames["planned"] = frame_of(made, found.recipe, light[:1], eyes[0])
