@@ -7,8 +7,8 @@ now. Figures that nobody could reproduce are shown as such.
 
 import math
 import sys
+from pathlib import Path
 
-import mpmath
 import torch
 from published_lobes import LOBES
 from rich.console import Console
@@ -16,23 +16,9 @@ from rich.console import Console
 from torchprt import sh
 from torchprt.measure import Table
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-def exact_basis(direction: list[float], order: int) -> list[mpmath.mpf]:
-    """Every y_lm, l < order, to 50 digits, from the textbook recurrence of the associated Legendre functions."""
-    with mpmath.workdps(50):
-        x, y, z = (mpmath.mpf(value) for value in direction)
-        values = {}
-        power = mpmath.mpc(1)
-        for m in range(order):
-            last, p = mpmath.mpf(0), (-1) ** m * mpmath.fac2(2 * m - 1)
-            for l in range(m, order):
-                if l > m:
-                    last, p = p, ((2 * l - 1) * z * p - (l + m - 1) * last) / (l - m)
-                scale = mpmath.sqrt((2 * l + 1) / (4 * mpmath.pi) * mpmath.factorial(l - m) / mpmath.factorial(l + m))
-                scale *= mpmath.sqrt(2) if m else 1
-                values[l, m], values[l, -m] = scale * p * power.real, scale * p * (power.imag if m else power.real)
-            power *= mpmath.mpc(x, y)
-        return [values[l, m] for l in range(order) for m in range(-l, l + 1)]
+from numerics.exact import basis_row
 
 
 def basis_accuracy() -> Table:
@@ -45,7 +31,7 @@ def basis_accuracy() -> Table:
     for (order, dtype), published in known.items():
         rounded = directions.to(dtype)
         pairs = zip(rounded.tolist(), sh.basis(rounded, order).tolist(), strict=True)
-        worst = max(float(abs(a - b)) for s, row in pairs for a, b in zip(row, exact_basis(s, order), strict=True))
+        worst = max(float(abs(a - b)) for s, row in pairs for a, b in zip(row, basis_row(s, order), strict=True))
         name = f"order {order}, {str(dtype).removeprefix('torch.')}"
         table.add(name, extra={"published": f"{published:.1e}", "torchprt": f"{worst:.1e}"})
     return table

@@ -1,9 +1,19 @@
 """Does the command plan, write the recipe, and bake by it?"""
 
+import importlib
+
 import pytest
 
 from torchprt.measure import Recipe, read_recipe, write_recipe
+from torchprt.measure.recipe import RUNTIMES
 from torchprt.transfer import load
+
+
+def test_its_words_are_those_of_the_library():
+    # `torchprt.measure.plan` is the function, too.
+    library, command = (importlib.import_module(f"torchprt.{room}.plan") for room in ("measure", "cli"))
+    assert command.LEAST == library.LEAST
+    assert command.RUNTIMES == RUNTIMES
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchprt.compression import foretell
-from torchprt.measure.model import bake_recipe, store_recipe
+from torchprt.measure.model import bake_recipe, light_under, store_recipe
 from torchprt.measure.probe import Probe
 from torchprt.measure.recipe import Recipe
 from torchprt.measure.recipe_error import error_under
@@ -32,7 +32,7 @@ def clustered(scene: Scene, probe: Probe, recipe: Recipe, error: float) -> tuple
     sample = _sample(scene, recipe)
     name = max(sample.layers, key=lambda name: sample.layers[name].bytes)
     count, _, rows, columns = sample.layers[name].signal.shape
-    part = count / _receivers(scene, probe, name == "diffuse")
+    part = sample.vertices / probe.receivers
     points = round(count / part)
     sizes = foretell(sample, points, layer=name, bits=_BITS)
     dense = 4 * points * rows * columns
@@ -64,13 +64,9 @@ def _sample(scene: Scene, recipe: Recipe) -> Transfer:
     return bake_recipe(few, asked, progress=False)
 
 
-def _receivers(scene: Scene, probe: Probe, all_of_them: bool) -> int:
-    return probe.receivers if all_of_them else len(scene.geometry().glossy)
-
-
 def _radiance(transfer: Transfer, probe: Probe, recipe: Recipe) -> Tensor:
     module = shader(transfer)
-    light = probe.light[:, : recipe.order**2].float()
+    light = light_under(recipe, probe.light).float()
     with torch.no_grad():
         if "eye" not in module.needs:
             return module(light)[:, None]
