@@ -14,6 +14,7 @@ from torchprt.errors import InputError
 from torchprt.files import check_writable
 
 if TYPE_CHECKING:
+    from torchprt.measure import Recipe
     from torchprt.scene import Scene
 
 
@@ -60,6 +61,7 @@ def bake(
     count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
+    recipe, predicted = None, dict[str, float]()
     if plan is not None:
         given = {"order": order, "rays": rays, "bounces": bounces, "unshadowed": unshadowed, "half": half}
         given |= {"output-order": output_order, "visibility-order": visibility_order, "factors": factors}
@@ -67,6 +69,9 @@ def bake(
         for name, value in given.items():
             if value not in (None, False):
                 raise InputError(f"--{name} is given, but {plan} says how to bake: leave one of them out")
+        from torchprt.measure import read_recipe
+
+        recipe, predicted = read_recipe(plan)
     scene = bake_options.scene_of(
         mesh,
         albedo=albedo,
@@ -78,8 +83,9 @@ def bake(
         ground_albedo=ground_albedo,
     )
     say(scene)
-    if plan is not None:
-        _bake_planned(scene, output, plan, seed=seed or 0, threads=threads, raw=raw)
+    if recipe is not None:
+        say(f"{plan}: {recipe.name}")
+        _bake_planned(scene, output, recipe, predicted, seed=seed or 0, threads=threads, raw=raw)
         return
     transfer = bake_options.baked(
         scene,
@@ -102,13 +108,11 @@ def bake(
         say(line)
 
 
-def _bake_planned(scene: Scene, output: Path, plan: Path, **arguments: Any) -> None:
+def _bake_planned(scene: Scene, output: Path, recipe: Recipe, predicted: dict[str, float], **arguments: Any) -> None:
     """What a recipe says, and what was predicted of it beside what came of it."""
     from torchprt.cli.plan import foretold
-    from torchprt.measure import read_recipe, store_recipe
+    from torchprt.measure import store_recipe
 
-    recipe, predicted = read_recipe(plan)
-    say(f"{plan}: {recipe.name}")
     start = time.perf_counter()
     transfer = bake_options.baked(
         scene, output, store=lambda transfer: store_recipe(transfer, recipe), **recipe.part("bake"), **arguments
