@@ -67,6 +67,9 @@ class Sight(enum.IntEnum):
     """Not at all: as those that are filled, but no neighbour sees either."""
 
 
+MIRROR = ("mirror_positions", "mirror_normals", "mirror_reflectance", "mirror_faces")
+
+
 @dataclass(kw_only=True, repr=False)
 class Vertices(Receivers):
     """Vertices of meshes one after the other, or loose points, in the world frame.
@@ -76,6 +79,8 @@ class Vertices(Receivers):
     - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
       None.
     - `sight [V]`: how each came to its transfer, a number of `Sight`, uint8; None if all are valid or nobody looked.
+    - `mirror_positions`, `mirror_normals`, `mirror_reflectance [P, 3]`, `mirror_faces [T, 3]`: the mirrors of the
+      scene, which record nothing, to be drawn; None without.
     - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
       "ground"), `side` ("front" or "back") and its `rows`, [first, one past the last], in the order of the mesh. Empty
       if nothing is known of it.
@@ -88,6 +93,10 @@ class Vertices(Receivers):
         "faces": Layout(("F", "3"), WHOLE),
         "original": Layout(("V",), WHOLE, optional=True),
         "sight": Layout(("V",), (torch.uint8,), optional=True),
+        "mirror_positions": Layout(("P", "3"), REAL, optional=True),
+        "mirror_normals": Layout(("P", "3"), REAL, optional=True),
+        "mirror_reflectance": Layout(("P", "3"), REAL, optional=True),
+        "mirror_faces": Layout(("T", "3"), WHOLE, optional=True),
     }
 
     positions: Tensor
@@ -95,7 +104,22 @@ class Vertices(Receivers):
     faces: Tensor
     original: Tensor | None = None
     sight: Tensor | None = None
+    mirror_positions: Tensor | None = None
+    mirror_normals: Tensor | None = None
+    mirror_reflectance: Tensor | None = None
+    mirror_faces: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len({getattr(self, name) is None for name in MIRROR}) > 1:
+            raise InputError(f"mirrors of the transfer lack some of {', '.join(MIRROR)}: give all or none")
+
+    @property
+    def mirrors(self) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+        """Positions, normals and reflectance of the vertices of mirrors, and their faces; None if there are none."""
+        found = [getattr(self, name) for name in MIRROR]
+        return None if found[0] is None else (found[0], found[1], found[2], found[3])
 
     def metadata(self) -> dict[str, Any]:
         return {"objects": list(self.objects)} if self.objects else {}
@@ -136,6 +160,8 @@ class Vertices(Receivers):
         """InputError if a tensor holds NaN or infinity, or an index names no vertex."""
         super().check(of)
         check_indices("faces", self.faces, self.count)
+        if self.mirrors is not None:
+            check_indices("mirror_faces", self.mirrors[3], len(self.mirrors[0]))
         for each in self.objects:
             if not {"name", "role", "side", "rows"} <= each.keys() or not 0 <= each["rows"][0] <= each["rows"][1]:
                 raise InputError(f"objects of the transfer hold {each}, which names no rows: bake it again")

@@ -7,6 +7,7 @@ from .bake_glossy import OrderWarning
 from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
+from .mirrors import MirrorWarning
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
 from .workers import Processes, Threads
@@ -14,6 +15,7 @@ from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
+    "MirrorWarning",
     "OrderWarning",
     "Processes",
     "Runner",

@@ -8,6 +8,7 @@ from .organic import organic
 from .painted_vase import painted_vase, vase_picture, write_painted_vase
 from .patches import bumps, waffle, wrinkles
 from .plane_and_blocker import plane_and_blocker
+from .ring import ring, ring_on_plane
 from .still_life import still_life
 from .teapot import teapot
 from .vase import vase
@@ -23,6 +24,8 @@ __all__ = [
     "organic",
     "painted_vase",
     "plane_and_blocker",
+    "ring",
+    "ring_on_plane",
     "still_life",
     "teapot",
     "vase",
