@@ -24,8 +24,9 @@ class Neighbourhood(Layer):
     reflectance, or transfer, of their own (`shade.NeighbourhoodShader`): by itself it has no exit radiance.
 
     - `inside`: how many nodes lie in the object and see nothing of the world; they continue those around them.
-    - `interpolation_error`: relative RMS error of the matrices in the middle of cells that the object has an effect on,
-      read from the nodes around them; of what the object changes: of M without the identity.
+    - `interpolation_error`: relative RMS error of the radiance of diffuse receivers that face along the six axes, under
+      lights that are white over N, in the middle of cells, where it is read from the nodes around them: in cells that the
+      object takes or adds 2 % in, and that its surface does not pass through. The error of the rays is in it.
 
     Raises InputError if its rows are not the square of an order, have more bands than the light, or its signal is in
     lobes, which turn with a surface.

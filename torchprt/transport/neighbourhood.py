@@ -19,6 +19,7 @@ from torchprt.errors import InputError
 from torchprt.progress import Report, Silent
 from torchprt.scene import Geometry, Object, Points, Scene
 from torchprt.scene.geometry import gather
+from torchprt.sh import clamped_cosine, zonal
 from torchprt.trace import Tracer
 from torchprt.transfer import Dense, Grid, Neighbourhood, Sight, Transfer, grid_in
 from torchprt.transport import bake_glossy, solve_glossy
@@ -41,10 +42,17 @@ from torchprt.transport.validity import along
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
-COARSE = 0.2
-"""Interpolation errors of the change that an object makes that are warned of."""
+COARSE = 0.025
+"""Interpolation errors that are warned of."""
 # Cells whose middle is baked to find that error, and nodes that are traced again to find that of the rays.
 _CELLS, _NODES = 512, 32
+# Points of the surface for the area of the smallest side of a cell.
+_DENSITY = 16
+
+
+NODES = 1 << 15
+"""As the paper has: 64 x 64 x 8."""
+_LARGEST = 1 << 24
 
 
 class GridWarning(UserWarning):
@@ -57,7 +65,7 @@ def bake_neighbourhood(
     *,
     order: int = 5,
     output_order: int = 3,
-    grid: Sequence[int] = (64, 8, 64),
+    grid: int | Sequence[int] = NODES,
     box: Sequence[float] | None = None,
     share: float = SHARE,
     rays: int = 1024,
@@ -75,7 +83,8 @@ def bake_neighbourhood(
     which none records, such as blockers or mirrors alone.
 
     - `order` of the light; `output_order` of the radiance that arrives, no larger: 3 is enough for diffuse receivers.
-    - `grid`: nodes along x, y and z (up), two or more each.
+    - `grid`: nodes along x, y (up) and z, two or more each, or about how many there are to be in all: their cells are
+      then as near to cubes as the box allows. The paper has 64 x 64 x 8, the last upward.
     - `box`: its corners x0, y0, z0, x1, y1, z1 in the frame of the object; if omitted it is found: grown until beyond it
       the object takes less than `share` of the irradiance of a receiver that faces up (`enclosing_box`). `Grid` has what
       came of it.
@@ -84,8 +93,8 @@ def bake_neighbourhood(
     - `seed`, `threads`, `runner`, `checkpoint`, `keep`, `progress` as for `bake`.
 
     Nodes inside of the object are filled from those around them (harmonically, over the grid); `inside` counts them.
-    The middles of 512 cells are baked too: `interpolation_error` is how far what is read between nodes is from them, as
-    a part of the change that the object makes, and a `GridWarning` tells if that is above 20 %.
+    The middles of 512 cells are baked too: `interpolation_error` of the layer is how far what is read between nodes is
+    from them, and a `GridWarning` tells if that is above 2.5 %.
     Laws: as for `bake`: the same bits whoever runs it and after any interruption; a node from which nothing of the object
     is seen has the identity.
     Memory: `4 C G M N` bytes for the result and as much while it is put together.
@@ -94,10 +103,10 @@ def bake_neighbourhood(
     Source: Sloan, Kautz and Snyder 2002, section 8.
     """
     check_numbers(order, rays, bounces, True, seed, threads, runner)
-    shape = _checked(order, output_order, grid, box, share)
+    _check(order, output_order, grid, box, share)
     geometry = scene.geometry() if isinstance(scene, Scene) else gather(scene)
     tracer = Tracer(geometry.positions, geometry.faces)
-    place = _place(geometry, tracer, shape, box, share)
+    place = _place(geometry, tracer, grid, box, share)
     count, enough = followed(bounces, geometry, can=True)
     objects = scene.objects if isinstance(scene, Scene) else scene
     coloured = any(each.coloured for each in objects if count or each.material.mirror is not None)
@@ -126,7 +135,7 @@ def bake_neighbourhood(
         sight = torch.where(inside, int(Sight.FILLED), int(Sight.VALID)).to(torch.uint8)
         if bool(inside.all()):
             raise InputError("the whole box lies in the object: give a larger one")
-        along(_links(shape), sight).fill(matrix.view(len(matrix), -1))
+        along(_links(place.shape), sight).fill(matrix.view(len(matrix), -1))
         between = _interpolation_error(around, place, matrix, inside, stages)
         error, signal = _error_and_signal(around, matrix, inside, stages)
         if store is not None and not keep:
@@ -134,8 +143,8 @@ def bake_neighbourhood(
     warn_of_cut(cut)
     if between is not None and between > COARSE:
         warnings.warn(
-            f"a grid of {'x'.join(map(str, shape))} nodes is too coarse: between them {between:.0%} of what the object "
-            "changes is missed (RMS); give more nodes, or a smaller box",
+            f"a grid of {'x'.join(map(str, place.shape))} nodes is too coarse: between them radiance near the object errs by "
+            f"{between:.1%} (RMS); give more nodes or rays, or a smaller box",
             GridWarning,
             stacklevel=2,
         )
@@ -155,29 +164,43 @@ def bake_neighbourhood(
     )
 
 
-def _checked(
-    order: int, output_order: int, grid: Sequence[int], box: Sequence[float] | None, share: float
-) -> tuple[int, ...]:
+def _check(
+    order: int, output_order: int, grid: int | Sequence[int], box: Sequence[float] | None, share: float
+) -> None:
     if not 1 <= output_order <= order:
         raise InputError(f"output_order is {output_order}: give a number from 1 to {order}, the order of the light")
-    shape = tuple(grid)
-    if len(shape) != 3 or not all(2 <= count <= 1024 for count in shape):
-        raise InputError(f"grid is {'x'.join(map(str, shape))}: give three counts along x, y and z, from 2 to 1024 each")
+    if isinstance(grid, int):
+        if not 8 <= grid <= _LARGEST:
+            raise InputError(f"grid is {grid}: give a number of nodes from 8 to {_LARGEST}, or three counts")
+    elif len(grid) != 3 or not all(2 <= count for count in grid) or math.prod(grid) > _LARGEST:
+        raise InputError(
+            f"grid is {'x'.join(map(str, grid))}: give three counts along x, y and z, from 2 each, and {_LARGEST} in all "
+            "at most"
+        )
     if box is not None and (len(box) != 6 or not all(map(math.isfinite, box))):
         raise InputError(f"box has {len(box)} numbers: give six finite ones, x0, y0, z0, x1, y1, z1")
     if not 0 < share < 1:
         raise InputError(f"share is {share:g}: give a part between 0 and 1, as 0.02")
-    return shape
 
 
 def _place(
-    geometry: Geometry, tracer: Tracer, shape: tuple[int, ...], box: Sequence[float] | None, share: float
+    geometry: Geometry, tracer: Tracer, grid: int | Sequence[int], box: Sequence[float] | None, share: float
 ) -> Grid:
+    known: dict[str, float] = {}
     if box is not None:
-        return grid_in(box[:3], box[3:], shape)
-    used = geometry.positions[geometry.faces.flatten().unique()]
-    low, high, border = enclosing_box(tracer, used.amin(0), used.amax(0), share)
-    return grid_in(low.tolist(), high.tolist(), shape, share=share, border=border)
+        low, high = list(box[:3]), list(box[3:])
+    else:
+        used = geometry.positions[geometry.faces.flatten().unique()]
+        lowest, highest, border = enclosing_box(tracer, used.amin(0), used.amax(0), share)
+        low, high, known = lowest.tolist(), highest.tolist(), {"share": share, "border": border}
+    return grid_in(low, high, _counts(low, high, grid) if isinstance(grid, int) else grid, **known)
+
+
+def _counts(low: Sequence[float], high: Sequence[float], nodes: int) -> list[int]:
+    """About so many nodes, their cells near to cubes."""
+    extents = [max(b - a, 0.0) for a, b in zip(low, high, strict=True)]
+    spacing = (math.prod(extents) / nodes) ** (1 / 3)
+    return [max(2, round(extent / spacing)) if spacing > 0 else 2 for extent in extents]
 
 
 def _sent(
@@ -217,7 +240,7 @@ def _recorded(around: Around, stages: Stages) -> tuple[Float[Tensor, "V R W"], B
     return matrix, inside, None if job.surfaces.mirrors is None else mean_cut(cut[~inside].tolist())
 
 
-def _links(shape: tuple[int, ...]) -> csr_matrix:
+def _links(shape: Sequence[int]) -> csr_matrix:
     """Neighbours in the grid, along its three axes."""
     number = np.arange(math.prod(shape)).reshape(shape)
     pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[..., :-1], number[..., 1:])]
@@ -229,25 +252,55 @@ def _links(shape: tuple[int, ...]) -> csr_matrix:
 def _interpolation_error(
     around: Around, place: Grid, matrix: Tensor, inside: Tensor, stages: Stages
 ) -> float | None:
-    """Relative to what the object changes; None if it changes nothing."""
+    """See `Neighbourhood`; None if no cell is free of the object."""
     nx, ny, nz = place.shape
     number = torch.arange(nx * ny * nz).view(nx, ny, nz)
     corners = torch.stack(
         [number[i : nx - 1 + i, j : ny - 1 + j, k : nz - 1 + k].flatten() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     )
-    whole = torch.nonzero(~inside[corners].any(0))[:, 0]
+    whole = torch.nonzero(~inside[corners].any(0) & ~_crossed(around.job.tracer, place))[:, 0]
     order = torch.randperm(len(whole), generator=torch.Generator().manual_seed(around.job.seed))
     chosen = whole[order[:_CELLS]]
     job = around.job
     middles = Around(job, place.places(0.5)[chosen], around.output_order, around.glossy, around.sent)
     tasks = [Surround(rows, job.rays, job.seed) for rows in chunks(len(chosen))]
-    missed = changed = 0.0
+    axes = torch.cat([torch.eye(3), -torch.eye(3)]).double()
+    cosines = zonal(clamped_cosine(around.output_order), axes)
+    missed = whole_light = 0.0
     for task, found in stages.run("between", tasks, middles):
-        exact, inner = found["matrix"].double(), found["inside"]
-        read = matrix[corners[:, chosen[task.index]]].double().mean(0)
-        missed += float((read - exact)[~inner].square().sum())
-        changed += float((exact - _identity(exact, job.channels))[~inner].square().sum())
-    return math.sqrt(missed / changed) if changed > 0 else None
+        exact = cosines @ found["matrix"].double()
+        read = cosines @ matrix[corners[:, chosen[task.index]]].double().mean(0)
+        plain = cosines @ _identity(found["matrix"].double(), job.channels)
+        lit = ((exact - plain).square().sum((1, 2)) > SHARE**2 * plain.square().sum()) & ~found["inside"]
+        missed += float((read - exact)[lit].square().sum())
+        whole_light += float(exact[lit].square().sum())
+    return math.sqrt(missed / whole_light) if whole_light > 0 else None
+
+
+def _crossed(tracer: Tracer, place: Grid) -> Bool[Tensor, "cells"]:
+    """Cells that the surface of the object passes through, as found at points spread over it: no receiver is there."""
+    corners = tracer.corners()
+    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=-1) / 2
+    cells = torch.tensor(place.shape) - 1
+    spacing, origin = torch.tensor(place.spacing).double(), torch.tensor(place.origin).double()
+    count = int((_DENSITY * area.sum() / spacing.min().square()).clamp(1 << 12, 1 << 20))
+    # Every so much of the area one, at a place in its triangle that differs from the last.
+    step = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+    number = torch.searchsorted(area.cumsum(0), step * area.sum()).clamp(max=len(area) - 1)
+    u, v = torch.frac(torch.arange(count, dtype=torch.float64)[:, None] * torch.tensor([0.7548776662, 0.5698402910])).T
+    over = (u + v > 1).double()
+    u, v = u + over * (1 - 2 * u), v + over * (1 - 2 * v)
+    a, b, c = corners[number].unbind(1)
+    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    at = ((points - origin) / spacing).floor().long()
+    at = at[((at >= 0) & (at < cells)).all(-1)]
+    found = torch.zeros(tuple(cells.tolist()), dtype=torch.bool)
+    found[at[:, 0], at[:, 1], at[:, 2]] = True
+    return found.flatten()
+
+
+def _identity(matrix: Float[Tensor, "v R W"], channels: int) -> Float[Tensor, "R W"]:
+    return torch.eye(matrix.shape[1], matrix.shape[2] // channels, dtype=matrix.dtype).repeat(1, channels)
 
 
 def _error_and_signal(around: Around, matrix: Tensor, inside: Tensor, stages: Stages) -> tuple[float, float]:
@@ -266,6 +319,3 @@ def _error_and_signal(around: Around, matrix: Tensor, inside: Tensor, stages: St
     signal = float(torch.linalg.vector_norm(matrix, dtype=torch.float64)) / math.sqrt(matrix.numel())
     return math.sqrt(math.fsum(sums) / sum(task.count for task in tasks)), signal
 
-
-def _identity(matrix: Float[Tensor, "v R W"], channels: int) -> Float[Tensor, "R W"]:
-    return torch.eye(matrix.shape[1], matrix.shape[2] // channels, dtype=matrix.dtype).repeat(1, channels)
