@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchprt.files import CannotWrite
@@ -88,11 +89,16 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    objects = [each for each in place.get("objects", ()) if each["side"] == "front"]
+    if len(objects) > 1:
+        told = [f"{Path(each['name']).name} ({each['rows'][1] - each['rows'][0]})" for each in objects]
+        lines.append(f"{count(len(objects), 'object')}: {', '.join(told)}")
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
     if "mirror_faces" in transfer.receivers.tensors():
-        lines[0] += f"; {count(len(transfer.receivers.tensors()['mirror_faces']), 'face')} of mirrors beside them"
+        faces = transfer.receivers.tensors()["mirror_faces"]
+        lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
     if transfer.cut:
         lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)
