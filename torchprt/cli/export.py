@@ -61,6 +61,10 @@ def export(
         typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
     ] = None,
     with_ground: bake_options.WithGround = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="One of several objects, by the name of its mesh in `torchprt info` (repeatable)."),
+    ] = None,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -91,6 +95,8 @@ def export(
     if "receivers" in loaded.needs and not web and ends == ".onnx":
         _refuse(graph, "the graph of a neighbourhood")
         return _told(prt.onnx.export_neighbourhood(loaded, output))
+    if only:
+        loaded = loaded.only(*only)
     if with_ground and not web and ends == ".onnx":
         raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
     if ends != ".onnx" and not with_ground:
