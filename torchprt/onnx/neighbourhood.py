@@ -118,27 +118,22 @@ class NeighbourhoodGraph(nn.Module):
         self.register_buffer("albedo", albedo.float())
 
     def forward(self, light: Tensor, rotation: Tensor, positions: Tensor, normals: Tensor, pose: Tensor) -> Tensor:
-        light = self.turn(light, rotation)
         turned, moved = pose[:, :3, :3], pose[:, :3, 3]
-        here = _turned_back(positions - moved.unsqueeze(1), turned)
+        # In the frame of the object, of plain light too: one turn, and one basis.
+        still = self.turn(light, turned.mT @ rotation)
         facing = _turned_back(normals, turned)
-        still = self.turn(light, turned.mT)
-        table = self.field(still)
-        plain_here = still[:, : self.count].mT
-        index, weights = self.lattice(here)
+        index, weights = self.lattice(_turned_back(positions - moved.unsqueeze(1), turned))
         first = torch.arange(light.shape[0], device=light.device) * self.field.places
         index = self.field.place(index) + first.view(-1, 1, 1)
-        # One corner at a time: eight times less memory.
-        total = torch.zeros(())
-        for corner in range(8):
-            row = table.index_select(0, index[..., corner].flatten()).reshape(*index.shape[:2], 3, self.count)
-            total = total + (row - plain_here.unsqueeze(1)) * weights[..., corner, None, None]
-        cosine = basis(facing, math.isqrt(self.count)) * self.cosine[: self.count]
-        change = total[..., 0] * cosine[..., 0, None]
-        for number in range(1, self.count):
-            change = change + total[..., number] * cosine[..., number, None]
-        rows = basis(normals, self.order) * self.cosine
-        plain = (light.mT.reshape(-1, self.order**2) @ rows.mT).reshape(-1, 3, positions.shape[0]).mT
+        rows = basis(facing, self.order) * self.cosine
+        plain = rows @ still
+        table = self.field(still)
+        # Products of a batch of receivers: sums over a batch of none fail.
+        read = weights.reshape(-1, 1, 8) @ table.index_select(0, index.flatten()).reshape(-1, 8, 3 * self.count)
+        near = rows[..., : self.count].reshape(-1, self.count, 1)
+        change = (read.reshape(-1, 3, self.count) @ near).reshape(plain.shape)
+        total = weights @ torch.ones(8, 1)
+        change = change - total * (rows[..., : self.count] @ still[:, : self.count])
         lit = (normals * normals).sum(-1, keepdim=True) > 0
         return torch.where(lit, plain + change, 0.0) * self.albedo
 
