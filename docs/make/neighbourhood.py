@@ -19,10 +19,10 @@ from PIL import Image
 from rich.console import Console
 from torch import Tensor
 
-from torchprt import light, preview, sh
+from torchprt import light, preview
 from torchprt.compression import compress
 from torchprt.measure import Table, relative_rms, time_it
-from torchprt.scene import Material, Mesh, Object, Points, Scene, make_mesh, samples
+from torchprt.scene import Material, Object, Points, Scene, make_mesh, samples
 from torchprt.shade import NeighbourhoodShader, by_ratio, shader
 from torchprt.transfer import Transfer
 from torchprt.transport import GridWarning, bake, bake_neighbourhood
@@ -78,7 +78,15 @@ def camera() -> preview.Camera:
 
 def shown(size: tuple[int, int] = SIZE, samples_: int = 9) -> preview.Cast:
     return preview.Cast(
-        glider(), land(), environment(), model=model(), camera=camera(), size=size, exposure=-0.3, samples=samples_, background=SKY
+        glider(),
+        land(),
+        environment(),
+        model=model(),
+        camera=camera(),
+        size=size,
+        exposure=-0.3,
+        samples=samples_,
+        background=SKY,
     )
 
 
@@ -109,7 +117,9 @@ def beside() -> Tensor:
     pose = preview.along(KEYS, 9)[5]
     mesh = samples.terrain(200, 9.0).objects[0].mesh
     lit = environment().light
-    found = NeighbourhoodShader(glider())(lit, positions=mesh.positions.float(), normals=mesh.normals.float(), pose=pose.float())
+    found = NeighbourhoodShader(glider())(
+        lit, positions=mesh.positions.float(), normals=mesh.normals.float(), pose=pose.float()
+    )
     scene = Scene(moved(samples.glider(), pose))
     points = Points(mesh.positions, mesh.normals, 1.0)
     wanted = shader(bake(scene, order=ORDER, rays=1024, bounces=1, receivers=points, progress=False))(lit)
@@ -141,7 +151,9 @@ def lights() -> dict[str, Tensor]:
 def direct(objects: list[Object], places: Tensor) -> Tensor:
     """Radiance of a white plane baked together with the objects, under all lights."""
     up = torch.tensor([0.0, 1.0, 0.0]).double().expand_as(places)
-    transfer = bake(Scene(objects), order=ORDER, rays=2048, bounces=0, receivers=Points(places, up, 1.0), progress=False)
+    transfer = bake(
+        Scene(objects), order=ORDER, rays=2048, bounces=0, receivers=Points(places, up, 1.0), progress=False
+    )
     return shader(transfer)(torch.stack(list(lights().values())))
 
 
@@ -150,7 +162,9 @@ def on_plane(transfer: Transfer, places: Tensor, poses: Tensor | None = None) ->
     every = torch.stack(list(lights().values()))
     with torch.no_grad():
         given = {"positions": places.float(), "normals": up}
-        return [shade.parts(every, pose=pose.float(), **given) for pose in (torch.eye(4)[None] if poses is None else poses)]
+        return [
+            shade.parts(every, pose=pose.float(), **given) for pose in (torch.eye(4)[None] if poses is None else poses)
+        ]
 
 
 def planes() -> Table:
@@ -201,10 +215,16 @@ def times() -> Table:
     torch.set_num_threads(1)
     table = Table("one light, one pose, one thread: milliseconds a frame")
     lit = next(iter(lights().values()))
-    plain = {"glider, 32768 nodes": glider(0), "glider, 16x16x16": glider(0, (16, 16, 16)), "glider, 48x48x48": glider(0, (48,) * 3)}
+    plain = {
+        "glider, 32768 nodes": glider(0),
+        "glider, 16x16x16": glider(0, (16, 16, 16)),
+        "glider, 48x48x48": glider(0, (48,) * 3),
+    }
     fine = samples.glider(192)
-    print(f"fine glider: {sum(len(each.mesh.faces) for each in fine.objects)} faces, "
-          f"glider: {sum(len(each.mesh.faces) for each in samples.glider().objects)}")
+    print(
+        f"fine glider: {sum(len(each.mesh.faces) for each in fine.objects)} faces, "
+        f"glider: {sum(len(each.mesh.faces) for each in samples.glider().objects)}"
+    )
     plain["16 times the triangles"] = bake_neighbourhood(fine, order=ORDER, progress=False)
     coloured = glider(1)
     plain["glider with a bounce, three channels"] = coloured
@@ -232,16 +252,18 @@ def sizes() -> Table:
     """Bytes and what is lost by clusters."""
     table = Table("glider with a bounce, three channels, 32768 nodes, order 5, output order 3")
     places = plane(-1.0)
-    whole = [plain + change for plain, change in on_plane(glider(1), places)][0]
+    whole = sum(on_plane(glider(1), places)[0])
     table.add("dense", extra={"MB": f"{glider(1).bytes / 2**20:.1f}"})
     for clusters, components in ((16, 4), (64, 4), (64, 8), (256, 8)):
         start = time.perf_counter()
         made = clustered(clusters, components)
         seconds = time.perf_counter() - start
-        found = [plain + change for plain, change in on_plane(made, places)][0]
+        found = sum(on_plane(made, places)[0])
         signal = made.layers["neighbourhood"].signal.metadata()["compression_error"]
         columns = {"MB": f"{made.bytes / 2**20:.1f}", "of matrices": f"{signal:.2%}", "s": f"{seconds:.0f}"}
-        table.add(f"{clusters} clusters of {components}", extra=columns | {"of radiance": f"{relative_rms(found, whole):.2%}"})
+        table.add(
+            f"{clusters} clusters of {components}", extra=columns | {"of radiance": f"{relative_rms(found, whole):.2%}"}
+        )
     return table
 
 
@@ -249,7 +271,7 @@ def animation(name: str, pictures: list[Tensor]) -> None:
     pictures = [*pictures]
     images = [Image.fromarray((picture.numpy() * 255).round().astype("uint8")) for picture in pictures]
     images[0].save(
-        path(name, "webp"), save_all=True, append_images=images[1:], duration=80, loop=0, quality=70, method=6
+        path(name, "webp"), save_all=True, append_images=images[1:], duration=80, loop=0, quality=90, method=6
     )
 
 

@@ -54,7 +54,13 @@ def test_bakes_tells_and_casts(folder, tmp_path, run, refused, around):
     (tmp_path / "a.png").unlink()
     (tmp_path / "b.gif").unlink(missing_ok=True)
     refused("--path is", arguments=["cast", around, folder / "ball.ply", "-o", tmp_path / "c.png", "--path", "1,2"])
-    refused("has its own", arguments=["cast", around, folder / "ball.safetensors", "-o", tmp_path / "c.png", "--albedo", "1"])
-    refused("not around an object", arguments=["cast", folder / "ball.safetensors", folder / "ball.ply", "-o", tmp_path / "c.png"])
+    refused(
+        "has its own",
+        arguments=["cast", around, folder / "ball.safetensors", "-o", tmp_path / "c.png", "--albedo", "1"],
+    )
+    refused(
+        "not around an object",
+        arguments=["cast", folder / "ball.safetensors", folder / "ball.ply", "-o", tmp_path / "c.png"],
+    )
     refused("receivers read it", arguments=["shade", around, "-o", tmp_path / "a.npy"])
     refused("no use for it", arguments=["export", around, "-o", tmp_path / "a.onnx", "--from", "environment"])

@@ -11,7 +11,9 @@ from torchprt.scene.samples import terrain
 from torchprt.transport import bake
 
 LAND = terrain(16, 3.0).objects[0].mesh
-FLOOR = make_mesh(LAND.positions * torch.tensor([1.0, 0.2, 1.0]) - torch.tensor([0.0, 0.9, 0.0]), LAND.faces, name="floor")
+FLOOR = make_mesh(
+    LAND.positions * torch.tensor([1.0, 0.2, 1.0]) - torch.tensor([0.0, 0.9, 0.0]), LAND.faces, name="floor"
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +63,7 @@ def test_a_bake_shadows_itself_too(environment):
     scene = Scene([Object(LAND, Material(0.6))])
     land = bake(scene, order=ORDER, rays=64, progress=False)
     shown = Cast(slab_around(), land, environment, size=(24, 24))
-    plain, under = (
-        shown.radiance(posed(at=at)[None], shown.light) for at in ((50.0, 0.0, 0.0), (0.0, 0.9, 0.0))
-    )
+    plain, under = (shown.radiance(posed(at=at)[None], shown.light) for at in ((50.0, 0.0, 0.0), (0.0, 0.9, 0.0)))
     torch.testing.assert_close(plain, shown.own(shown.light), rtol=0, atol=1e-5)
     assert float((plain - under).max()) > 0.05 * float(plain.mean())
     assert shown.picture(posed(at=(0.0, 0.9, 0.0))[None]).shape == (24, 24, 3)

@@ -22,8 +22,8 @@ from torchprt.transfer import Transfer
 class Cast:
     """Pictures of `receiver` under a light in which copies of an object stand, whose `neighbourhood` was baked.
 
-    - `receiver`: a mesh, diffuse with `albedo`, one for all or `[V, 3]`; or a bake, which then shadows itself too: its layers are put under the
-      light that the object leaves at each of its receivers.
+    - `receiver`: a mesh, diffuse with `albedo`, one for all or `[V, 3]`; or a bake, which then shadows itself too: its
+      layers are put under the light that the object leaves at each of its receivers.
     - `model`: a bake of the object itself, which is drawn too; nothing of the receiver shadows it.
     - `camera` (all is framed if omitted), `size`, `samples`, `exposure` and `tone` as for `Still` and its pictures;
       `background`: a colour in sRGB, a plain grey one if omitted.
@@ -111,7 +111,8 @@ class Cast:
 def along(keys: Float[Tensor, "K 6"], count: int) -> Float[Tensor, "T 4 4"]:
     """`count` poses on a smooth way through keys: x, y, z and yaw, pitch, roll in degrees, evenly in time.
 
-    Natural cubic splines of the six numbers (straight between two keys), so a yaw that goes on from 350 to 370 turns on.
+    Natural cubic splines of the six numbers (straight between two keys), so a yaw that goes on from 350 to 370 turns
+    on.
     Raises InputError without keys, or unless `count` is 1 or more.
     """
     from scipy.interpolate import CubicSpline
