@@ -156,7 +156,12 @@ def export(
         about["mirrors"] = mirrors is not None
         about["flight"] = flies
         meshes = ("mesh.glb", *(("mirrors.glb",) if mirrors is not None else ()), *flying)
-        loaded = (*meshes, *(each.name for each in models if each.name != COMPRESSED + ".gz"), *(f"libraries/{name}" for name in LOADED), *pictures)
+        loaded = (
+            *meshes,
+            *(each.name for each in models if each.name != COMPRESSED + ".gz"),
+            *(f"libraries/{name}" for name in LOADED),
+            *pictures,
+        )
         about["download"] = sum((made / name).stat().st_size for name in loaded)
         (made / "scene.json").write_text(json.dumps(about, allow_nan=False), encoding="utf-8")
         own = [*models, *(made / name for name in meshes), made / "scene.json", *(made / name for name in pictures)]

@@ -21,11 +21,11 @@ SHADOW, OBJECT, MESH = "shadow.onnx", "object.onnx", "object.glb"
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """`neighbourhood` of an object (see `bake_neighbourhood`), a bake of the object itself, `model`, which is drawn, and
-    the `poses [T, 4, 4]` that it goes through in `seconds`, and then again from the first.
+    """`neighbourhood` of an object (see `bake_neighbourhood`), a bake of the object itself, `model`, which is drawn,
+    and the `poses [T, 4, 4]` that it goes through in `seconds`, and then again from the first.
 
-    The model of the page keeps its own transfer: its radiance is multiplied by what the object leaves of the plain light
-    that a white diffuse surface would reflect there (`shade.by_ratio`).
+    The model of the page keeps its own transfer: its radiance is multiplied by what the object leaves of the plain
+    light that a white diffuse surface would reflect there (`shade.by_ratio`).
     """
 
     neighbourhood: Transfer
@@ -42,7 +42,9 @@ class Flight:
                 )
         self.neighbourhood.receivers.as_grid()
         if self.model.needs or not len(self.model.faces):
-            raise InputError("the model of the flight must be a diffuse bake of a mesh: a page draws no other beside it")
+            raise InputError(
+                "the model of the flight must be a diffuse bake of a mesh: a page draws no other beside it"
+            )
         if self.poses.ndim != 3 or not len(self.poses) or not bool(self.poses.isfinite().all()) or not self.seconds > 0:
             raise InputError(f"poses of the flight have shape {list(self.poses.shape)}: give finite ones, [T, 4, 4]")
 
@@ -52,9 +54,7 @@ class Flight:
         """What `scene.json` says of it, the graphs, which are to be zipped, and other files."""
         onnx.export_neighbourhood(self.neighbourhood, folder / SHADOW, check=check)
         onnx.export(self.model, folder / OBJECT, check=check)
-        save(
-            self.model.positions, self.model.normals, self.model.faces, folder / MESH, colour=reflectance(self.model)
-        )
+        save(self.model.positions, self.model.normals, self.model.faces, folder / MESH, colour=reflectance(self.model))
         poses = torch.as_tensor(self.poses, dtype=torch.float64)
         about = {"poses": [[round(x, 6) for x in pose.flatten().tolist()] for pose in poses], "seconds": self.seconds}
         return about, (folder / SHADOW, folder / OBJECT), (MESH,)

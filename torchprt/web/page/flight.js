@@ -37,14 +37,23 @@ export class Flight {
     const turn = [e[0], e[4], e[8], e[1], e[5], e[9], e[2], e[6], e[10]];
     const seen = await this.model.shade(light, product(turn, rotation), [0, 0, 0]);
     const count = receivers.normals.length / 3;
-    const white = { normals: receivers.normals, albedo: new Float32Array(3 * count).fill(1) };
-    const plain = unshadowed(white, light, rotation);
+    const plain = this.#plain(light, rotation, receivers.normals);
     const left = await this.shadow.shade(light, rotation, [0, 0, 0], {
       positions: [receivers.geometry.attributes.position.array, [count, 3]],
       normals: [receivers.normals, [count, 3]],
       pose: [Float32Array.from([...turn.slice(0, 3), e[12], ...turn.slice(3, 6), e[13], ...turn.slice(6), e[14], 0, 0, 0, 1]), [1, 4, 4]],
     });
     return { seen, below: ratio(radiance, left, plain) };
+  }
+
+  /** What white receivers reflect of the plain light; kept, because the light stands still while the object flies. */
+  #plain(light, rotation, normals) {
+    if (this.kept?.light !== light || this.kept.rotation !== String(rotation)) {
+      const albedo = new Float32Array(normals.length).fill(1);
+      const values = unshadowed({ normals, albedo }, light, rotation);
+      this.kept = { light, rotation: String(rotation), values };
+    }
+    return this.kept.values;
   }
 }
 

@@ -66,6 +66,7 @@ export function connect(viewer) {
   looks(viewer);
   turning(viewer);
   if (viewer.flight) flying(viewer);
+  else for (const id of ["flying-row", "moment-row"]) at(id).remove();
   files(viewer);
   listen(viewer.view.canvas, {
     camera: (right, down) => viewer.turnCamera(right, down),
