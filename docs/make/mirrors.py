@@ -126,7 +126,9 @@ def path_tracer() -> None:
     blurred = torch.nn.functional.avg_pool2d(error.movedim(-1, 0)[None], 5, 1, 2)[0].movedim(0, -1)
     alone, together = (float(each.square().mean().sqrt()) / size_of for each in (error, blurred))
     print(f"RMS difference of what is not sky: {alone:.2%} a pixel, {together:.2%} over 5 x 5 pixels")
-    print(f"path tracer {traced:.1f} s, {shaded * 1e3:.1f} ms for all {transfer.vertices} receivers; eye {eye.tolist()}")
+    print(
+        f"path tracer {traced:.1f} s, {shaded * 1e3:.1f} ms for all {transfer.vertices} receivers; eye {eye.tolist()}"
+    )
     exposure = preview.automatic_exposure(lit) + 0.2
     shown = [display(each.clamp(min=0), exposure=exposure) for each in (ours, theirs)]
     worst = 0.1 * size_of
