@@ -11,7 +11,10 @@ from .fixed_light import FixedLightShader
 from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
+from .light_field import under_field
+from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
+from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
@@ -19,8 +22,10 @@ from .white import white
 from .zonal import ZonalSignal
 
 __all__ = [
+    "DIFFUSE",
     "Adapted",
     "AdaptiveShader",
+    "BrdfReceiving",
     "ClusteredSignal",
     "DenseSignal",
     "DiffuseLayer",
@@ -32,6 +37,9 @@ __all__ = [
     "IncidentLayer",
     "LayerModule",
     "Making",
+    "NeighbourhoodShader",
+    "PhongReceiving",
+    "Receiving",
     "Regions",
     "Shader",
     "SignalModule",
@@ -40,6 +48,7 @@ __all__ = [
     "adaptive",
     "agx",
     "at_rest",
+    "by_ratio",
     "display",
     "filmic",
     "fixed_orders",
@@ -51,6 +60,7 @@ __all__ = [
     "signal_module",
     "srgb",
     "tone_mapped",
+    "under_field",
     "white",
     "with_material",
 ]

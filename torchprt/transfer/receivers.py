@@ -7,7 +7,7 @@ import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,6 +15,9 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
+
+if TYPE_CHECKING:
+    from torchprt.transfer.grid import Grid
 
 
 @dataclass(kw_only=True, repr=False)
@@ -50,6 +53,12 @@ class Receivers(Part, abc.ABC):
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
             "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
+        )
+
+    def as_grid(self) -> Grid:
+        """These, if they are the nodes of a grid around an object; InputError if not."""
+        raise InputError(
+            "the transfer is recorded on a surface, not around an object: bake one, as bake_neighbourhood does"
         )
 
 

@@ -111,7 +111,7 @@ def bake(
     KeyboardInterrupt after the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
-    _check(order, rays, bounces, shadows, seed, threads, runner)
+    check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
@@ -140,7 +140,7 @@ def bake(
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
-        store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        store = stack.enter_context(store_of(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
         stages = Stages(runner, report, store)
@@ -189,7 +189,7 @@ def _diffuse(
     )
 
 
-def _check(
+def check_numbers(
     order: int,
     rays: int,
     bounces: Bounces,
@@ -232,15 +232,17 @@ def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, s
 
 
 @contextlib.contextmanager
-def _store(
+def store_of(
     folder: Path | None,
     job: Job,
     geometry: Geometry,
     points: Points | None,
     bounces: int | float,
     wanted: Wanted | None,
+    **more: Any,
 ) -> Iterator[Checkpoint | None]:
-    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
+    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none. `more`: what
+    else the results depend on."""
     if folder is None and not bounces:
         yield None
         return
@@ -255,6 +257,7 @@ def _store(
         "hits": bounces > 0,
         "chunk": CHUNK,
         "version": VERSION,
+        **more,
     }
     if wanted is not None:
         contents += [geometry.glossy, geometry.gloss_of_glossy, geometry.tangents]
