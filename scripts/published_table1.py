@@ -2,12 +2,12 @@
 
     python scripts/published_table1.py [--rays 4096] [MODEL ...]
 
-The paper's models are not available; others stand in for them. Theirs: a PC of 2002 (2.2 GHz Pentium 4, the bake), an ATI
-Radeon 8500 (the rates), 10 000 to 30 000 directions over the sphere, light that bounces until its energy falls below a
-threshold. Ours: process CPU time of the bake, all its threads added up, with --rays directions over the hemisphere and
-bounces until one adds less than 1 %; the rates are calls a second of one thread, without drawing. Glossy rows have three
-rates, as in the paper: everything free, the light fixed, the eye fixed. Of the neighbourhood: the matrices of all nodes
-under a new light, and with a new pose and 10 000 receivers that read them.
+The paper's models are not available; others stand in for them. Theirs: a PC of 2002 (2.2 GHz Pentium 4, the bake), an
+ATI Radeon 8500 (the rates), 10 000 to 30 000 directions over the sphere, light that bounces until its energy is below
+a threshold. Ours: process CPU time of the bake, all its threads added up, with --rays directions over the hemisphere
+and bounces until one adds less than 1 %; the rates are calls a second of one thread, without drawing. Glossy rows
+have three rates, as in the paper: everything free, the light fixed, the eye fixed. Of the neighbourhood: the matrices
+of all nodes under a new light, and with a new pose and 10 000 receivers that read them.
 """
 
 from __future__ import annotations
