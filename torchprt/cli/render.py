@@ -106,7 +106,6 @@ def render(
     given |= {
         "two_sided": two_sided,
         "blocker": blocker,
-        "mirror": mirror,
         "ground": ground,
         "ground_albedo": ground_albedo,
     }
