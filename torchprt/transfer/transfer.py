@@ -19,6 +19,8 @@ from torchprt.transfer.receivers import Receivers, Vertices, called
 from torchprt.words import count
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
+# What is known of some transfers alone.
+SELDOM = ("cut",)
 # A shader keeps its layers by name in a module, which has these already.
 _TAKEN = frozenset(dir(torch.nn.ModuleDict()))
 
@@ -141,9 +143,10 @@ class Transfer:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What is known of the bake, by name: all but receivers and layers."""
+        """What is known of the bake, by name: all but receivers and layers, and `cut` only with mirrors."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: value for name, value in fields.items() if name not in ("receivers", "layers")}
+        left = {"receivers", "layers"} | {name for name in SELDOM if fields[name] is None}
+        return {name: value for name, value in fields.items() if name not in left}
 
     def with_layers(self, **layers: Layer) -> Transfer:
         """The same with these layers in place of those of their names, or after the others."""
