@@ -7,6 +7,7 @@ from .damage import DamagedImageWarning, ImageReport, inspect
 from .dominant import dominant
 from .environment import cube_to_latlong, latlong_to_cube, project
 from .image import read, read_with_report
+from .probes import blend_weights, sample_points, with_sample_points
 from .sky import clear_sky, clear_sky_radiance, overcast_sky
 from .studio import studio
 from .sun import sun_radiance
@@ -17,6 +18,7 @@ __all__ = [
     "WINDOWS",
     "DamagedImageWarning",
     "ImageReport",
+    "blend_weights",
     "built_in",
     "clear_sky",
     "clear_sky_radiance",
@@ -33,10 +35,12 @@ __all__ = [
     "read",
     "read_coefficients",
     "read_with_report",
+    "sample_points",
     "sphere",
     "studio",
     "sun_radiance",
     "window_factors",
     "windowed",
+    "with_sample_points",
     "write_coefficients",
 ]

@@ -11,6 +11,7 @@ from .fixed_light import FixedLightShader
 from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
+from .local_light import LocalLightShader, local_light_shader
 from .patch import lay, sample
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
@@ -31,6 +32,7 @@ __all__ = [
     "FixedLightShader",
     "IncidentLayer",
     "LayerModule",
+    "LocalLightShader",
     "Making",
     "Regions",
     "Shader",
@@ -45,6 +47,7 @@ __all__ = [
     "fixed_orders",
     "lay",
     "layer_module",
+    "local_light_shader",
     "neutral",
     "sample",
     "shader",

@@ -1,0 +1,123 @@
+"""Light that differs from place to place of an object: captured at sample points, blended at every receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchprt.errors import InputError
+from torchprt.sh.precision import KeepsSingle, at_least_single
+from torchprt.shade.layer import LayerModule
+from torchprt.shade.shader import Shader
+from torchprt.transfer import Transfer, Vertices
+
+
+class LocalLightShader(KeepsSingle):
+    """Exit radiance under the blend of K lights: `sum_k blend_vk shader(light_k)_v`.
+
+    Shading is linear in the light, so this is the radiance of every receiver under its own light `sum_k blend_vk
+    light_k`, for every layer and signal. The K lights are those of the sample points, or with gradients of every point
+    its light and the derivatives of it along x, y and z, as `light.incident` and `transport.capture` give them.
+    `blend [V, K]`, a buffer, or a parameter if `learn`: how they count; that of the transfer by `local_light_shader`.
+
+    Laws: under K equal lights of weights that sum to 1 the radiance of the shader under one of them; linear in the
+    lights; all else as `Shader`.
+    Source: Sloan, Kautz and Snyder 2002, section 6.1.
+    """
+
+    single = ("blend",)
+    blend: Tensor
+
+    def __init__(self, shader: Shader, blend: Float[Tensor, "V K"], *, learn: bool = False):
+        """Raises InputError unless there is a row a receiver and a column."""
+        super().__init__()
+        if blend.ndim != 2 or blend.shape[0] != shader.vertices or blend.shape[1] == 0:
+            raise InputError(
+                f"blend has shape {list(blend.shape)}: give the weights of every light at the {shader.vertices} "
+                f"receivers, [{shader.vertices}, K]"
+            )
+        self.shader = shader
+        held = blend.to(shader.turn.project.device, at_least_single(shader.dtype))
+        if learn:
+            self.blend = torch.nn.Parameter(held.detach().clone())
+        else:
+            self.register_buffer("blend", held)
+
+    @property
+    def order(self) -> int:
+        """Number of SH bands of the lights."""
+        return self.shader.order
+
+    @property
+    def vertices(self) -> int:
+        """Number of receivers V."""
+        return self.shader.vertices
+
+    @property
+    def lights(self) -> int:
+        """Number of lights K."""
+        return self.blend.shape[1]
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What a call takes beside the lights, as of the shader."""
+        return self.shader.needs
+
+    @property
+    def layers(self) -> Mapping[str, LayerModule]:
+        """Those of the shader."""
+        return self.shader.layers
+
+    def forward(
+        self,
+        light: Float[Tensor, "*#B K N 3"],
+        rotation: Float[Tensor, "*#B 3 3"] | None = None,
+        *,
+        eye: Float[Tensor, "*#B 3"] | None = None,
+        view: Float[Tensor, "*#B 3"] | None = None,
+        frames: Float[Tensor, "*#B V 3 3"] | None = None,
+        positions: Float[Tensor, "*#B V 3"] | None = None,
+    ) -> Float[Tensor, "... V 3"]:
+        """Radiance `[..., V, 3]` under the K lights of every entry of the batch; all else as for `Shader`.
+
+        `rotation` turns what every sample point sees, about itself. An object that has turned is lit by the light that
+        is captured at its sample points where they have gone, turned back: by the transpose of its own rotation.
+
+        Raises InputError if there are not K lights, and as the shader.
+        """
+        if light.ndim < 3 or light.shape[-3] != self.lights:
+            raise InputError(
+                f"light has shape {list(light.shape)}: the blend is of {self.lights} lights, give [..., {self.lights}, "
+                f"{self.order**2}, 3]"
+            )
+        given = {
+            "rotation": (rotation, -3), "eye": (eye, -2), "view": (view, -2), "frames": (frames, -4),
+            "positions": (positions, -3),
+        }  # fmt: skip
+        # The dimension of the lights, of size 1 in all else: eyes and poses are then applied once for all of them.
+        spread = {name: value.unsqueeze(place) for name, (value, place) in given.items() if value is not None}
+        return self.blended(self.shader(light, **spread))
+
+    def blended(self, radiance: Float[Tensor, "*B K V 3"]) -> Float[Tensor, "*B V 3"]:
+        """Radiance under each of the lights, as this one blends it."""
+        lanes = radiance.mT
+        return (lanes * self.blend.T.unsqueeze(1)).sum(-3).mT.to(radiance.dtype)
+
+
+def local_light_shader(shader: Shader, transfer: Transfer) -> LocalLightShader:
+    """The shader of a transfer with the blend that is stored with it. InputError if none is."""
+    return LocalLightShader(shader, blend_of(transfer))
+
+
+def blend_of(transfer: Transfer) -> Float[Tensor, "V K"]:
+    """The blend that is stored with a transfer. InputError, which says how to make one, if none is."""
+    vertices = transfer.receivers
+    if not isinstance(vertices, Vertices) or vertices.blend is None:
+        raise InputError(
+            "the transfer has no sample points: bake it with --sample-points, or make them with "
+            "light.with_sample_points"
+        )
+    return vertices.blend
