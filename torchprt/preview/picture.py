@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
@@ -15,7 +16,7 @@ from torchprt.preview.camera import Camera, frame
 from torchprt.preview.encode import encoded, image_of
 from torchprt.shade import srgb, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
-from torchprt.trace import Tracer
+from torchprt.trace import Mirrors, Tracer, follow
 
 SAMPLES = 4
 """Rays a pixel."""
@@ -29,6 +30,8 @@ class Still:
 
     `positions [V, 3]`, `faces [F, 3]`; `size` in pixels (width, height); `samples` rays a pixel, in a pattern in which
     no two share a row or a column of it. `opacity [V]`: 0 where a vertex lets through what is behind the model.
+    `mirrors`: positions, normals, reflectance `[P, 3]` and faces `[T, 3]` of mirrors, which show the model and, along
+    `sky [E, 3]`, what surrounds it.
     The camera of `frame` if none is given. Back faces are black: they reflect nothing.
     Raises InputError if the model has no faces or the picture no pixels.
     """
@@ -42,6 +45,7 @@ class Still:
         camera: Camera | None = None,
         samples: int = SAMPLES,
         opacity: Float[Tensor, "V"] | None = None,
+        mirrors: tuple[Tensor, Tensor, Tensor, Tensor] | None = None,
     ):
         if len(faces) == 0:
             raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
@@ -51,10 +55,18 @@ class Still:
         self.camera = camera or frame(positions, aspect=width / height)
         self.size = size
         self._samples = samples
-        tracer = Tracer(positions, faces)
+        tracer, mirror = _with_mirrors(positions, faces, mirrors)
         eye = torch.tensor(self.camera.eye, dtype=torch.float64)
-        hits = tracer.camera(eye, self.directions().view(height * width, samples, 3))
-        seen = hits.triangle >= 0
+        directions = self.directions().view(height * width, samples, 3)
+        hits = tracer.camera(eye, directions)
+        shiny = torch.zeros(0, dtype=torch.int64)
+        if mirror is not None:
+            shiny = torch.nonzero((hits.triangle >= len(faces)).flatten())[:, 0]
+            reflected = follow(tracer, mirror, hits, shiny, directions.reshape(-1, 3)[shiny])
+            for part in ("triangle", "u", "v", "front"):
+                getattr(hits, part).view(-1)[shiny] = getattr(reflected, part)
+        # A ray that never leaves the mirrors shows them black.
+        seen = (hits.triangle >= 0) & (hits.triangle < len(faces))
         triangle, front = hits.triangle[seen].long(), hits.front[seen]
         corners = faces.long()[triangle]
         if not bool(front.all()):
@@ -70,7 +82,17 @@ class Still:
         # What each corner of each hit adds to its pixel; hits lie in the order of the pixels.
         self._weights = torch.where(front[:, None], weights * (solid[:, None] / samples), 0).flatten()
         self._starts = 3 * torch.cat([torch.zeros(1, dtype=torch.int64), seen.sum(1).cumsum(0)])
-        self._through = torch.ones(seen.shape).masked_scatter_(seen, 1 - solid)
+        self._through = torch.where(hits.triangle < len(faces), 1.0, 0.0).masked_scatter_(seen, 1 - solid)
+        self._sky: _Sky | None = None
+        self._tint: Tensor | None = None
+        if len(shiny):
+            # A faded ground is as transparent in a mirror.
+            share = reflected.share * self._through.flatten()[shiny, None] / samples
+            self._sky = _Sky(shiny // samples, reflected.direction, share)
+            tint = torch.ones(*seen.shape, 3).view(-1, 3)
+            tint[shiny] = reflected.share
+            self._tint = tint.view(*seen.shape, 3)[seen].repeat_interleave(3, 0)
+            self._through.view(-1)[shiny] = 0
         self._plain: Tensor | None = None
 
     def directions(self) -> Float[Tensor, "H W S 3"]:
@@ -82,18 +104,27 @@ class Still:
         return self.camera.through(x, y, width, height)
 
     @property
+    def sky(self) -> Float[Tensor, "E 3"]:
+        """The world directions in which mirrors show what surrounds the model."""
+        return torch.zeros(0, 3) if self._sky is None else self._sky.directions
+
+    @property
     def coverage(self) -> Float[Tensor, "H W"]:
         """The share of each pixel that the model covers."""
         return 1 - self._through.mean(1).view(self.size[1], self.size[0])
 
     def radiance(
-        self, vertex_radiance: Float[Tensor, "V 3"], background: float | Float[Tensor, "H W 3"] = 0.0
+        self,
+        vertex_radiance: Float[Tensor, "V 3"],
+        background: float | Float[Tensor, "H W 3"] = 0.0,
+        sky: Float[Tensor, "E 3"] | None = None,
     ) -> Float[Tensor, "H W 3"]:
         """The picture of linear radiance before a `background`, one for all pixels or one for each.
 
+        `sky`: the radiance of what surrounds the model along each of the directions `sky` that its mirrors show.
         Raises InputError unless there is a radiance for every vertex.
         """
-        return self._light(vertex_radiance) + background * self._behind().to(vertex_radiance)
+        return self._light(vertex_radiance, sky) + background * self._behind().to(vertex_radiance)
 
     def picture(
         self,
@@ -102,6 +133,7 @@ class Still:
         exposure: float = 0.0,
         tone: ToneMap = TONE,
         background: float | Float[Tensor, "H W 3"] | None = None,
+        sky: Float[Tensor, "E 3"] | None = None,
     ) -> Float[Tensor, "H W 3"]:
         """The picture as sRGB in [0, 1] before `background`, linear RGB as it is to be shown; None is a plain one.
 
@@ -109,15 +141,20 @@ class Still:
         as smooth as any.
         """
         behind = self.plain() if background is None else background
-        model = tone_mapped(self._mean(vertex_radiance), exposure=exposure, tone=tone)
+        model = tone_mapped(self._mean(vertex_radiance, sky), exposure=exposure, tone=tone)
         through = self._behind().to(model)
         return srgb(model * (1 - through) + behind * through)
 
     def cutout(
-        self, vertex_radiance: Float[Tensor, "V 3"], *, exposure: float = 0.0, tone: ToneMap = TONE
+        self,
+        vertex_radiance: Float[Tensor, "V 3"],
+        *,
+        exposure: float = 0.0,
+        tone: ToneMap = TONE,
+        sky: Float[Tensor, "E 3"] | None = None,
     ) -> Float[Tensor, "H W 4"]:
         """The picture with a fourth channel, the share of each pixel that the model covers (not premultiplied)."""
-        model = srgb(tone_mapped(self._mean(vertex_radiance), exposure=exposure, tone=tone))
+        model = srgb(tone_mapped(self._mean(vertex_radiance, sky), exposure=exposure, tone=tone))
         return torch.cat([model, self.coverage[..., None].to(model)], -1)
 
     def plain(self) -> Float[Tensor, "H W 3"]:
@@ -132,24 +169,63 @@ class Still:
             self._plain = linear(torch.lerp(torch.tensor(MIDDLE), torch.tensor(CORNER), share))
         return self._plain
 
-    def _light(self, radiance: Tensor) -> Tensor:
+    def _light(self, radiance: Tensor, sky: Tensor | None = None) -> Tensor:
         """What the model adds to each pixel, `[H, W, 3]`."""
         if len(radiance) != self._vertices:
             raise InputError(f"radiance of {len(radiance)} vertices for a model of {self._vertices}: give each one")
         weights = self._weights.to(radiance)
-        total = embedding_bag(
-            self._corners, radiance, self._starts, mode="sum", per_sample_weights=weights, include_last_offset=True
-        )
+        if self._tint is None:
+            total = self._sum(radiance, weights)
+        else:
+            tints = self._tint.to(radiance).unbind(1)
+            shares = zip(radiance.unbind(1), tints, strict=True)
+            total = torch.cat([self._sum(values[:, None], weights * tint) for values, tint in shares], 1)
+        if self._sky is not None and sky is not None:
+            total = total.index_add(0, self._sky.pixel, self._sky.share.to(radiance) * sky.to(radiance))
         return total.view(self.size[1], self.size[0], 3)
 
-    def _mean(self, radiance: Tensor) -> Tensor:
+    def _sum(self, values: Tensor, weights: Tensor) -> Tensor:
+        return embedding_bag(
+            self._corners,
+            values.contiguous(),
+            self._starts,
+            mode="sum",
+            per_sample_weights=weights,
+            include_last_offset=True,
+        )
+
+    def _mean(self, radiance: Tensor, sky: Tensor | None) -> Tensor:
         """The mean radiance of what each pixel shows of the model; 0 where it shows nothing."""
         covered = 1 - self._behind().to(radiance)
-        return self._light(radiance) / torch.where(covered > 0, covered, 1.0)
+        return self._light(radiance, sky) / torch.where(covered > 0, covered, 1.0)
 
     def _behind(self) -> Tensor:
         """The share of each pixel that is background, `[H, W, 1]`."""
         return self._through.mean(1).view(self.size[1], self.size[0], 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sky:
+    """Rays that mirrors turn out of the scene: their pixels, directions, and the share of the pixel that they show."""
+
+    pixel: Int[Tensor, "E"]
+    directions: Float[Tensor, "E 3"]
+    share: Float[Tensor, "E 3"]
+
+
+def _with_mirrors(
+    positions: Tensor, faces: Tensor, mirrors: tuple[Tensor, Tensor, Tensor, Tensor] | None
+) -> tuple[Tracer, Mirrors | None]:
+    """A tracer of the model and, after its faces, of the mirrors."""
+    if mirrors is None:
+        return Tracer(positions, faces), None
+    places, normals, reflectance, corners = mirrors
+    kinds, number = torch.unique(reflectance[corners[:, 0].long()], dim=0, return_inverse=True)
+    of_faces = torch.cat([torch.full((len(faces),), -1), number])
+    smooth = torch.cat([torch.zeros(len(positions), 3), normals.float()])
+    everything = torch.cat([positions.double(), places.double()])
+    shown = torch.cat([faces.long(), corners.long() + len(positions)])
+    return Tracer(everything, shown), Mirrors(of_faces, kinds, smooth)
 
 
 def _pattern(count: int) -> tuple[Float[Tensor, "S"], Float[Tensor, "S"]]:

@@ -15,7 +15,7 @@ from torchprt.errors import InputError
 from torchprt.files import write
 from torchprt.preview.camera import Camera
 from torchprt.preview.encode import encoded, image_of
-from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, seen_along
+from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, photograph, seen_along
 from torchprt.preview.ground import opacity
 from torchprt.preview.orbit import Orbit
 from torchprt.preview.picture import SAMPLES, Still
@@ -23,7 +23,7 @@ from torchprt.preview.relight import Relight
 from torchprt.sh import rotate, yaw_pitch_roll
 from torchprt.shade import Shader, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
-from torchprt.transfer import Transfer
+from torchprt.transfer import Transfer, Vertices
 
 Background = Literal["plain", "environment", "transparent"] | tuple[float, float, float]
 
@@ -82,10 +82,11 @@ class Studio:
         elif radiance is None:
             eye = torch.tensor(camera.eye, dtype=torch.float64)
             radiance = self._relight(rotate(self.environment.light, rotation), eye)
+        sky = self._surroundings(camera, still.sky, rotation)
         if self.background == "transparent":
-            return still.cutout(radiance.float(), exposure=exposure, tone=tone)
+            return still.cutout(radiance.float(), exposure=exposure, tone=tone, sky=sky)
         behind = self._behind(camera, rotation)
-        return still.picture(radiance.float(), exposure=exposure, tone=tone, background=behind)
+        return still.picture(radiance.float(), exposure=exposure, tone=tone, background=behind, sky=sky)
 
     def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:
@@ -96,6 +97,7 @@ class Studio:
                 camera=camera,
                 samples=self.samples,
                 opacity=opacity(place),
+                mirrors=place.mirrors if isinstance(place, Vertices) else None,
             )
         return self._still
 
@@ -105,12 +107,28 @@ class Studio:
             return linear(torch.tensor(self.background)).expand(self.size[1], self.size[0], 3)
         if self.background != "environment" or self.environment.image is None:
             return None
+        seen = seen_along(self._shown(camera), camera.directions(*self.size), rotation)
+        return tone_mapped(seen.float(), exposure=self.exposure, tone=self.tone)
+
+    def _surroundings(
+        self, camera: Camera, directions: Float[Tensor, "E 3"], rotation: Float[Tensor, "3 3"]
+    ) -> Float[Tensor, "E 3"] | None:
+        """Radiance of the environment that mirrors show; None if they show none."""
+        if not len(directions):
+            return None
+        return seen_along(self._shown(camera), directions, rotation).float()
+
+    def _shown(self, camera: Camera) -> Float[Tensor, "H W 3"]:
+        """The environment for the pixels of a camera: its image, or what its light stands for."""
         # Once for all pictures of one angle of view.
         if self._panorama is None or self._panorama[0] != camera.field:
             texel = math.radians(camera.field) / self.size[1]
-            self._panorama = camera.field, for_pixels(self.environment.image, texel)
-        seen = seen_along(self._panorama[1], camera.directions(*self.size), rotation)
-        return tone_mapped(seen.float(), exposure=self.exposure, tone=self.tone)
+            image = self.environment.image
+            self._panorama = (
+                camera.field,
+                for_pixels(photograph(self.environment.light) if image is None else image, texel),
+            )
+        return self._panorama[1]
 
     def turntable(self, count: int, orbit: Orbit, rotation: Float[Tensor, "3 3"]) -> Iterator[Float[Tensor, "H W C"]]:
         """`count` pictures in which the camera goes once around +y."""

@@ -28,7 +28,7 @@ class Geometry:
     """The object, by its number in the scene, that each face belongs to."""
     two_sided: Bool[Tensor, "F"]
     receiver_of_vertex: Int64[Tensor, "Vall"]
-    """The receiver on the front of each vertex; -1 for blockers, which are black."""
+    """The receiver on the front of each vertex; -1 for blockers, which are black, and for mirrors."""
     back_receiver_of_vertex: Int64[Tensor, "Vall"]
     """The receiver on the reverse of each vertex; -1 where the surface is one-sided."""
     receiver_positions: Float64[Tensor, "V 3"]
@@ -39,7 +39,7 @@ class Geometry:
     display_faces: Int64[Tensor, "Fd 3"]
     """Faces over receivers, to draw them: the fronts, then the reverse sides wound the other way."""
     slices: tuple[slice, ...]
-    """For each object of the scene the rows of its front receivers; empty for blockers."""
+    """For each object of the scene the rows of its front receivers; empty for blockers and mirrors."""
     back_slices: tuple[slice, ...]
     """For each object of the scene the rows of its reverse receivers; empty where it has none."""
     glossy: Int64[Tensor, "G"]
@@ -55,6 +55,12 @@ class Geometry:
     partner: Int64[Tensor, "V"]
     """The receiver on the other side of a translucent surface; -1 where nothing comes through."""
     translucency: Float32[Tensor, "V"]
+    mirror: Int64[Tensor, "F"]
+    """Which mirror each face is of, -1 for none."""
+    reflectance: Float32[Tensor, "K M"]
+    """Of each mirror along its normal: three channels if any is coloured, else one."""
+    mirror_normals: Float64[Tensor, "Vm 3"]
+    """Of all vertices, if there are mirrors, else empty."""
     names: tuple[str, ...]
     """Of the mesh of each object of the scene."""
     roles: tuple[str, ...]
@@ -98,6 +104,8 @@ def gather(objects: Sequence[Object]) -> Geometry:
     gloss = _distinct([brdf for object, _, _, which in shiny for brdf in _used(object, which)])
     specular_channels = 3 if any(differs(object.specular) for object, *_ in shiny) else 1
     whole = torch.zeros(0, dtype=torch.int64)
+    mirrors = [each.material.reflectance for each in objects if each.material.reflectance is not None]
+    mirror_channels = 3 if any(differs(each) for each in mirrors) else 1
     return Geometry(
         positions=torch.cat([object.mesh.positions for object in objects]),
         faces=faces,
@@ -131,6 +139,11 @@ def gather(objects: Sequence[Object]) -> Geometry:
         translucency=torch.cat(
             [torch.zeros(0), *(torch.full((len(chosen),), float(o.material.translucency)) for o, chosen in both)]
         ),
+        mirror=_mirror_of_faces(objects),
+        reflectance=torch.cat(
+            [torch.zeros(0, mirror_channels), *(_channels(each, mirror_channels) for each in mirrors)]
+        ),
+        mirror_normals=torch.cat([object.mesh.normals for object in objects]) if mirrors else none,
         names=tuple(object.mesh.name for object in objects),
         roles=tuple(object.role for object in objects),
         tangent_fields=tuple(object.tangent_field for object in objects),
@@ -174,6 +187,15 @@ def _partners(
             partner[front] = torch.arange(back.start, back.stop)
             partner[back] = torch.arange(front.start, front.stop)
     return partner
+
+
+def _mirror_of_faces(objects: Sequence[Object]) -> Int64[Tensor, "F"]:
+    found, number = [], 0
+    for object in objects:
+        is_mirror = object.material.mirror is not None
+        found.append(torch.full((len(object.mesh.faces),), number if is_mirror else -1))
+        number += is_mirror
+    return torch.cat(found)
 
 
 def _starts(sizes: list[int], first: int = 0) -> list[int]:

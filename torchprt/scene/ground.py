@@ -33,7 +33,7 @@ FLATTEST = 0.05
 
 
 def ground(objects: Sequence[Object], height: float | None = None, albedo: Albedo = 0.5) -> list[Object]:
-    """The disc under `objects` at `height` along +y (the lowest point of their receivers by default), as an object.
+    """The disc under `objects` at `height` along +y (the lowest point of all but blockers by default), as an object.
 
     Its middle is below theirs, its radius `REACH` times theirs, and its vertices stand closest below them. Where the
     outline of what stands on it crosses its triangles, vertices are moved onto the outline: between one that sees the
@@ -44,7 +44,7 @@ def ground(objects: Sequence[Object], height: float | None = None, albedo: Albed
     """
     if any(object.role == "ground" for object in objects):
         raise InputError("the scene has a ground already: leave one of the two out")
-    receiving = torch.cat([object.mesh.positions for object in objects if object.receives])
+    receiving = torch.cat([object.mesh.positions for object in objects if object.role != "blocker"])
     everything = torch.cat([object.mesh.positions for object in objects])
     low, high = receiving.amin(0), receiving.amax(0)
     top = float(everything[:, 1].amax())

@@ -33,6 +33,9 @@ class Material:
     `translucency`, in [0, 1], is the share of the irradiance of the other side that comes through, times the albedo:
     exit radiance is albedo / pi (E + translucency E_other). Such a surface is two-sided. Source: Sloan, Luna and
     Snyder 2005, section 5.3 (thin membranes).
+    `mirror` is the share of light, one number or three in [0, 1], that a polished metal reflects along its normal; at
+    grazing angles it rises to 1. Nothing is recorded on a mirror, light goes on from both of its sides; it has neither
+    albedo nor gloss. Source: Sloan, Kautz and Snyder 2002, section 5.
 
     Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.
     Raises InputError if a number is outside [0, 1], not a number, or of another shape, if the gloss is not known or
@@ -45,13 +48,16 @@ class Material:
     gloss: Brdf | Glosses | str | None = None
     specular: Albedo = 1.0
     translucency: float | int = 0.0
+    mirror: float | int | Sequence[float] | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.gloss, str):
             object.__setattr__(self, "gloss", parse(self.gloss))
+        if self.mirror is not None:
+            self._check_mirror()
         if self.albedo is None:
-            object.__setattr__(self, "albedo", 0.5 if self.gloss is None else 0.0)
+            object.__setattr__(self, "albedo", 0.5 if self.gloss is None and self.mirror is None else 0.0)
         # Written so that NaN is refused too.
         if not 0 <= self.translucency <= 1:
             raise InputError(f"translucency is {self.translucency:g}: give a value in [0, 1]")
@@ -76,6 +82,20 @@ class Material:
         body = table(_numbers(self.albedo))
         check_albedo(body, "albedo")
         self._check_balance(body, "albedo")
+
+    def _check_mirror(self) -> None:
+        reflectance = table(_numbers(self.mirror), "mirror")
+        check_albedo(reflectance, "mirror")
+        if len(reflectance) > 1:
+            raise InputError(f"mirror has {len(reflectance)} rows: give one number or three for the whole mirror")
+        zero = self.albedo is None or (not isinstance(self.albedo, str) and not bool(table(self.albedo).any()))
+        if self.gloss is not None or self.translucency or not zero:
+            raise InputError("a mirror has neither albedo, gloss nor translucency: leave them out, or the mirror")
+
+    @property
+    def reflectance(self) -> Float32[Tensor, "1 C"] | None:
+        """What a mirror reflects along its normal, C = 1 or 3; None if it is none."""
+        return None if self.mirror is None else table(self.mirror, "mirror")
 
     @property
     def glosses(self) -> tuple[Brdf, ...]:

@@ -16,18 +16,30 @@ from torchprt.suffixes import check_readable
 from .material import Material
 from .toml_file import colour, number, only, read_toml
 
-KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated")
+KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated", "mirror")
 
-EXAMPLES = '"phong:40", "ggx:0.3,0.04", "ward:0.1,0.4", "membrane:0.5" or the name of a .toml file'
+# Linear RGB along the normal. Source: Akenine-Moeller and others, Real-Time Rendering, fourth edition, table 9.2.
+METALS = {
+    "aluminium": (0.913, 0.922, 0.924),
+    "chromium": (0.549, 0.556, 0.554),
+    "copper": (0.955, 0.638, 0.538),
+    "gold": (1.0, 0.782, 0.344),
+    "iron": (0.562, 0.565, 0.578),
+    "silver": (0.972, 0.960, 0.915),
+}
+EXAMPLES = (
+    '"phong:40", "ggx:0.3,0.04", "ward:0.1,0.4", "membrane:0.5", "mirror:.95,.64,.54" or the name of a .toml file'
+)
 
 
 def read_material(text: str | os.PathLike[str]) -> Material:
-    """The material that `text` says: a gloss, a membrane, or the name of a .toml file.
+    """The material that `text` says: a gloss, a membrane, a mirror, or the name of a .toml file.
 
     - "ggx:0.3,0.04", or any reflectance that `torchprt.brdf.parse` knows: that gloss over a black body.
     - "membrane:0.5": a diffuse sheet of that translucency, albedo .5.
-    - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular` (as `Material` takes them) and
-      `gloss`, either text as above or a table of a `model` and its numbers by name (`roughness`, `f0`, `exponent`,
+    - "mirror", "mirror:.8", "mirror:.95,.64,.54" (linear RGB along the normal) or "mirror:gold", any of `METALS`.
+    - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror` (as `Material` takes
+      them) and `gloss`, either text as above or a table of a `model` and its numbers by name (`roughness`, `f0`, `exponent`,
       ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured values as `brdf.Tabulated` takes
       them, beside the .toml.
 
@@ -44,10 +56,30 @@ def read_material(text: str | os.PathLike[str]) -> Material:
             raise InputError(f"material '{name}': {fault}") from fault
         except ValueError as fault:
             raise InputError(f"material '{name}' needs its translucency: write it as membrane:0.5") from fault
+    if model == "mirror":
+        return _mirror(name, numbers)
     try:
         return Material(gloss=parse(name))
     except InputError as fault:
         raise InputError(f"material '{name}' cannot be used, give {EXAMPLES} ({fault})") from fault
+
+
+def _mirror(name: str, numbers: str) -> Material:
+    if numbers in METALS:
+        return Material(mirror=METALS[numbers])
+    try:
+        share = [float(part) for part in numbers.split(",")] if ":" in name else [1.0]
+    except ValueError:
+        share = []
+    if len(share) not in (1, 3):
+        raise InputError(
+            f"material '{name}' is no mirror: write mirror, one number or three, mirror:.95,.64,.54, or a metal "
+            f"({', '.join(METALS)})"
+        )
+    try:
+        return Material(mirror=share)
+    except InputError as fault:
+        raise InputError(f"material '{name}': {fault}") from fault
 
 
 def _material(source: Path, content: dict[str, Any]) -> Material:
@@ -67,6 +99,8 @@ def given(source: Path, content: dict[str, Any]) -> dict[str, Any]:
         found["albedo"] = content["albedo"] if content["albedo"] == "vertex" else colour(source, content, "albedo")
     if "specular" in content:
         found["specular"] = colour(source, content, "specular")
+    if "mirror" in content:
+        found["mirror"] = METALS.get(str(content["mirror"])) or colour(source, content, "mirror")
     if "translucency" in content:
         found["translucency"] = number(source, "translucency", content["translucency"])
     if "two_sided" in content:

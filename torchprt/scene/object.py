@@ -24,7 +24,8 @@ class Object:
     """A mesh with a material and a role.
 
     A "receiver" records, blocks and reflects light; a "blocker" is black and only blocks it. A "ground" is a receiver
-    that pictures are not about: they frame what stands on it.
+    that pictures are not about: they frame what stands on it. Whatever the role, a material that is a mirror records
+    nothing: light that meets it goes on.
 
     Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
@@ -37,6 +38,8 @@ class Object:
     def __post_init__(self) -> None:
         if self.role not in ROLES:
             raise InputError(f'role {self.role!r} is not known: give "receiver", "blocker" or "ground"')
+        if self.material.mirror is not None and self.role == "blocker":
+            raise InputError(f"{self.mesh.name} is a mirror and a blocker, which reflects nothing: give one of the two")
         if self.receives:
             self.material.albedo_of(self.mesh)
             self.material.specular_of(self.mesh)
@@ -56,7 +59,8 @@ class Object:
 
     @property
     def receives(self) -> bool:
-        return self.role != "blocker"
+        """Whether it records; blockers and mirrors do not."""
+        return self.role != "blocker" and self.material.mirror is None
 
     @property
     def albedo(self) -> Float32[Tensor, "V C"]:
@@ -96,4 +100,6 @@ class Object:
     @property
     def coloured(self) -> bool:
         """Whether light that it reflects changes colour."""
+        if self.material.reflectance is not None:
+            return differs(self.material.reflectance)
         return self.receives and (differs(self.albedo) or differs(self.specular))

@@ -24,7 +24,7 @@ class Requirements:
     kind: Literal["diffuse", "glossy"]
     """Which kind of transfer: glossy as soon as one receiver has a gloss."""
     channels: int
-    """1, or 3 if light bounces off coloured surfaces."""
+    """1, or 3 if light comes by way of coloured surfaces."""
     bounces: int | float
     """How often light is followed from surface to surface: 0 for shadows alone, infinite for until it is spent."""
 
@@ -48,7 +48,9 @@ class Scene:
         if not self.objects:
             raise InputError("scene has no objects: give at least one mesh that receives light")
         if not any(each.receives for each in self.objects):
-            raise InputError("scene has only blockers: give at least one mesh that receives light")
+            raise InputError(
+                "scene has only blockers and mirrors, which record nothing: give at least one mesh that receives light"
+            )
 
     def requires(self, bounces: int | float = 0) -> Requirements:
         """What a bake with that many bounces of light (or `math.inf`, until it is spent) needs.
@@ -57,9 +59,9 @@ class Scene:
         """
         if not (bounces >= 0 and (math.isinf(bounces) or bounces == int(bounces))):
             raise InputError(f"bounces is {bounces}: give 0 for shadows alone, a whole number, or infinity")
-        coloured = any(each.coloured for each in self.objects)
+        coloured = any(each.coloured for each in self.objects if bounces or each.material.mirror is not None)
         kind: Literal["diffuse", "glossy"] = "glossy" if any(each.glossy for each in self.objects) else "diffuse"
-        return Requirements(kind=kind, channels=3 if bounces and coloured else 1, bounces=bounces)
+        return Requirements(kind=kind, channels=3 if coloured else 1, bounces=bounces)
 
     def on_ground(self, height: float | None = None, albedo: Albedo = 0.5) -> "Scene":
         """The same on a ground that receives its shadow: a disc at `height` along +y, of that albedo.
@@ -80,7 +82,14 @@ class Scene:
     def __str__(self) -> str:
         """The report of every mesh, under its name and role, and what lies on it besides its albedo."""
         return "\n\n".join(
-            "\n".join([f"{o.mesh.name} ({o.role})", str(o.mesh.report), *_finish(o)]) for o in self.objects
+            "\n".join(
+                [
+                    f"{o.mesh.name} ({o.role if o.material.mirror is None else 'mirror'})",
+                    str(o.mesh.report),
+                    *_finish(o),
+                ]
+            )
+            for o in self.objects
         )
 
 
@@ -103,14 +112,17 @@ def load(
     two_sided: bool | None = None,
     blockers: Source | Sequence[Source] = (),
     material: Material | str | None = None,
+    mirrors: Source | Sequence[Source] = (),
+    mirror: Material | str = "mirror",
 ) -> Scene:
-    """The scene of one or several mesh files (or meshes), and of blockers that only cast shadows.
+    """The scene of one or several mesh files (or meshes), of blockers that only cast shadows, and of mirrors.
 
     - `albedo` is one number, three, a tensor [V, 1] or [V, 3], "vertex" for the colours of the vertices in the files,
       or "file" for base colour times texture times vertex colour: the default without a material, where the file has
       any of them; else .5.
     - `material` is a material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file, or "file"
       for albedo and gloss of the file's own. An albedo given beside it replaces that of the material.
+    - `mirror` is the material of `mirrors`, as text "mirror", "mirror:.95,.64,.54" or "mirror:gold".
     - `two_sided` says whether both sides receive light, instead of the material or the file.
 
     The name of a .toml file alone is that of a whole scene, as `read_scene` reads it; it says its materials itself.
@@ -118,6 +130,20 @@ def load(
     Raises InputError as `read_mesh`, `read_scene`, `read_material` and `Material` do, if there is no mesh, or if a
     scene comes with other meshes or a material.
     """
+    return Scene(load_objects(sources, albedo, two_sided, blockers, material, mirrors, mirror))
+
+
+def load_objects(
+    sources: Source | Sequence[Source],
+    albedo: Albedo | None = None,
+    two_sided: bool | None = None,
+    blockers: Source | Sequence[Source] = (),
+    material: Material | str | None = None,
+    mirrors: Source | Sequence[Source] = (),
+    mirror: Material | str = "mirror",
+) -> list[Object]:
+    """The objects that `load` makes a scene of: a mirror alone is none, but with a ground it is."""
+    more = [*_blocking(blockers), *_mirroring(mirrors, mirror)]
     scenes = [each for each in _several(sources) if not isinstance(each, Mesh) and is_scene(each)]
     if scenes:
         if len(_several(sources)) > 1 or albedo is not None or material is not None or two_sided is not None:
@@ -128,11 +154,11 @@ def load(
         from .scene_file import read_scene
 
         scene = read_scene(scenes[0])
-        return Scene([*scene.objects, *_blocking(blockers)]) if _several(blockers) else scene
+        return [*scene.objects, *more]
     if isinstance(material, str) and material != "file":
         material = read_material(material)
     receiving = [object_of(source, albedo, two_sided, material) for source in _several(sources)]
-    return Scene(receiving + _blocking(blockers))
+    return receiving + more
 
 
 def is_scene(source: str | os.PathLike[str]) -> bool:
@@ -142,6 +168,13 @@ def is_scene(source: str | os.PathLike[str]) -> bool:
 
 def _blocking(blockers: Source | Sequence[Source]) -> list[Object]:
     return [Object(_mesh(source), Material(0.0), "blocker") for source in _several(blockers)]
+
+
+def _mirroring(sources: Source | Sequence[Source], mirror: Material | str) -> list[Object]:
+    material = read_material(mirror) if isinstance(mirror, str) else mirror
+    if material.mirror is None:
+        raise InputError(f'mirror is {mirror!r}, which is none: give "mirror", "mirror:.95,.64,.54" or "mirror:gold"')
+    return [Object(_mesh(source), material) for source in _several(sources)]
 
 
 def _several(sources: Source | Sequence[Source]) -> Sequence[Source]:

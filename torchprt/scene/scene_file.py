@@ -72,7 +72,7 @@ def _dressed(source: Path, table: dict[str, Any], role: str) -> Object:
         return Object(_placed(source, table, read_mesh(path)), _material(source, table), role)
     said = {key: value for key, value in table.items() if key in KEYS}
     of_file = {key: table[key] for key in ("albedo", "material") if table.get(key) == "file"}
-    if of_file or not {"albedo", "material", "gloss", "tabulated"} & table.keys():
+    if of_file or not {"albedo", "material", "gloss", "tabulated", "mirror"} & table.keys():
         # What the table says beside it replaces what the file says.
         rest = {key: value for key, value in said.items() if key not in of_file}
         if "material" in of_file and {"gloss", "tabulated"} & rest.keys():

@@ -1,5 +1,6 @@
 """Rays against triangles: Embree through embreex, and nothing of transfer."""
 
-from .tracer import OFFSET, Hits, Tracer
+from .mirrors import REFLECTIONS, Mirrors, Reflected, follow
+from .tracer import OFFSET, Hits, Spot, Tracer
 
-__all__ = ["OFFSET", "Hits", "Tracer"]
+__all__ = ["OFFSET", "REFLECTIONS", "Hits", "Mirrors", "Reflected", "Spot", "Tracer", "follow"]

@@ -1,4 +1,4 @@
-"""Embree behind three questions: what is visible, what is hit, what does a camera see."""
+"""Embree behind a few questions: what is visible, what is hit, what does a camera see, where does a ray go on to."""
 
 from __future__ import annotations
 
@@ -26,6 +26,22 @@ class Hits:
     u: Float[Tensor, "v D"]
     v: Float[Tensor, "v D"]
     front: Bool[Tensor, "v D"]
+
+
+@dataclass
+class Spot:
+    """Points of triangles in the frame of the tracer, float64: `place`, the `normal` of the face, the `smooth` one of
+    its vertices, and the `extent [E]` of the triangle. A face without area has the normal zero."""
+
+    place: Float[Tensor, "E 3"]
+    normal: Float[Tensor, "E 3"]
+    smooth: Float[Tensor, "E 3"]
+    extent: Float[Tensor, "E"]
+
+    def leave(self, away: Float[Tensor, "E 3"]) -> Float[Tensor, "E 3"]:
+        """Where rays that leave toward the side `away` start, as `Tracer.origins`."""
+        lift = OFFSET * (self.place.abs().amax(-1) + self.extent)
+        return self.place + lift[:, None] * away
 
 
 class Tracer:
@@ -74,6 +90,10 @@ class Tracer:
         """World points in the recentred frame of unit size in which rays are traced, float64."""
         return (points.to(torch.float64) - self.centre) * self.scale
 
+    def corners(self) -> Float[Tensor, "F 3 3"]:
+        """The corners of all triangles in the world, float64."""
+        return self._positions[self._faces.long()]
+
     def origins(
         self,
         points: Float[Tensor, "v 3"],
@@ -118,6 +138,30 @@ class Tracer:
         rays = np.ascontiguousarray(directions.reshape(-1, 3).to(torch.float32).numpy())
         start = np.ascontiguousarray(self.local(eye).to(torch.float32).expand(height * width, 3).numpy())
         return self._nearest(start, rays, (height, width))
+
+    def onward(self, origins: Float[Tensor, "E 3"], directions: Float[Tensor, "E 3"]) -> Hits:
+        """The nearest hit of single rays: `origins` of `Spot.leave`, `directions` in the world."""
+        start, rays = (part.to(torch.float32).contiguous().numpy() for part in (origins, directions))
+        return self._nearest(start, rays, (len(start),))
+
+    def surface(
+        self,
+        face: Int[Tensor, "E"],
+        u: Float[Tensor, "E"],
+        v: Float[Tensor, "E"],
+        normals: Float[Tensor, "Vall 3"],
+    ) -> Spot:
+        """Where points of triangles are; `normals` of all vertices."""
+        corners = self._faces[face].long()
+        places = self.local(self._positions[corners])
+        weights = torch.stack([1 - u - v, u, v], -1).double()[..., None]
+        along, across = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+        normal = torch.nn.functional.normalize(torch.linalg.cross(along, across), dim=-1)
+        smooth = (normals[corners].double() * weights).sum(1)
+        length = torch.linalg.vector_norm(smooth, dim=-1, keepdim=True)
+        smooth = torch.where(length > 1e-6, smooth / length.clamp(min=1e-6), normal)
+        extent = (places.amax(1) - places.amin(1)).amax(-1)
+        return Spot((places * weights).sum(1), normal, smooth, extent)
 
     def _nearest(self, start: np.ndarray, rays: np.ndarray, shape: tuple[int, int]) -> Hits:
         found = self._scene.run(start, rays, output=1)

@@ -3,9 +3,11 @@
 from .clustered import Clustered
 from .dense import Dense
 from .file import FORMAT, load, save
+from .grid import Grid, grid_in
 from .layer import Diffuse, Layer
 from .layers import Exit, Factored, Incident, Visibility
 from .layout import Layout
+from .neighbourhood import Neighbourhood
 from .receivers import Receivers, Sight, Texels, Vertices
 from .signal import Signal
 from .transfer import Transfer, diffuse_transfer
@@ -18,9 +20,11 @@ __all__ = [
     "Diffuse",
     "Exit",
     "Factored",
+    "Grid",
     "Incident",
     "Layer",
     "Layout",
+    "Neighbourhood",
     "Receivers",
     "Sight",
     "Signal",
@@ -30,6 +34,7 @@ __all__ = [
     "Visibility",
     "Zonal",
     "diffuse_transfer",
+    "grid_in",
     "load",
     "save",
 ]

@@ -28,6 +28,8 @@ CONVENTIONS = (
     "real orthonormal spherical harmonics with the Condon-Shortley sign, index l(l+1)+m; world frame, y up; "
     "directions point away from the surface; transfer carries 1/pi, albedo of the receiver is separate"
 )
+# What only some transfers have, and files of older versions do not.
+_SELDOM = ("cut",)
 _PROVENANCE = [field.name for field in dataclasses.fields(Transfer) if field.name not in ("receivers", "layers")]
 
 
@@ -51,7 +53,8 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
         layers.append({"name": name, **_said(layer), "signal": _said(layer.signal)})
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
     metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
-    metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
+    known = {name: value for name, value in transfer.provenance.items() if not (name in _SELDOM and value is None)}
+    metadata |= {name: json.dumps(value) for name, value in known.items()}
     contents: dict[str, Tensor] = {}
     for name, value in tensors.items():
         value = value.detach().cpu().contiguous()
@@ -101,7 +104,7 @@ def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor])
             raise InputError(f"{path} lacks the metadata '{name}': it is damaged, bake it again") from fault
 
     try:
-        provenance = {name: entry(name) for name in _PROVENANCE}
+        provenance = {name: entry(name) for name in _PROVENANCE if name in metadata or name not in _SELDOM}
         if metadata["format"] == "1":
             transfer = from_format1(metadata["kind"], tensor, entry, provenance)
         else:

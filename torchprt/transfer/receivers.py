@@ -6,7 +6,7 @@ import abc
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -14,6 +14,9 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
+
+if TYPE_CHECKING:
+    from torchprt.transfer.grid import Grid
 
 
 @dataclass(kw_only=True, repr=False)
@@ -51,6 +54,12 @@ class Receivers(Part, abc.ABC):
             "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
         )
 
+    def as_grid(self) -> Grid:
+        """These, if they are the nodes of a grid around an object; InputError if not."""
+        raise InputError(
+            "the transfer is recorded on a surface, not around an object: bake one, as bake_neighbourhood does"
+        )
+
 
 class Sight(enum.IntEnum):
     """How a receiver came to its transfer: what lightmap bakers call validity."""
@@ -67,6 +76,9 @@ class Sight(enum.IntEnum):
     """Not at all: as those that are filled, but no neighbour sees either."""
 
 
+MIRROR = ("mirror_positions", "mirror_normals", "mirror_reflectance", "mirror_faces")
+
+
 @dataclass(kw_only=True, repr=False)
 class Vertices(Receivers):
     """Vertices of meshes one after the other, or loose points, in the world frame.
@@ -79,6 +91,8 @@ class Vertices(Receivers):
     - `sample_points [S, 3]`, `blend [V, S]`: where the light about them is captured, and what the light of every point
       counts at every receiver: weights of 0 or more that sum to 1. Or `blend [V, 4 S]`: behind the weight of a point
       those of the derivatives of its light along x, y and z. Both or none; see `light.with_sample_points`.
+    - `mirror_positions`, `mirror_normals`, `mirror_reflectance [P, 3]`, `mirror_faces [T, 3]`: the mirrors of the
+      scene, which record nothing, to be drawn; None without.
     - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
       "ground"), `side` ("front" or "back") and its `rows`, [first, one past the last], in the order of the mesh. Empty
       if nothing is known of it.
@@ -93,6 +107,10 @@ class Vertices(Receivers):
         "sight": Layout(("V",), (torch.uint8,), optional=True),
         "sample_points": Layout(("S", "3"), REAL, optional=True),
         "blend": Layout(("V", "K"), REAL, optional=True),
+        "mirror_positions": Layout(("P", "3"), REAL, optional=True),
+        "mirror_normals": Layout(("P", "3"), REAL, optional=True),
+        "mirror_reflectance": Layout(("P", "3"), REAL, optional=True),
+        "mirror_faces": Layout(("T", "3"), WHOLE, optional=True),
     }
 
     positions: Tensor
@@ -102,7 +120,22 @@ class Vertices(Receivers):
     sight: Tensor | None = None
     sample_points: Tensor | None = None
     blend: Tensor | None = None
+    mirror_positions: Tensor | None = None
+    mirror_normals: Tensor | None = None
+    mirror_reflectance: Tensor | None = None
+    mirror_faces: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len({getattr(self, name) is None for name in MIRROR}) > 1:
+            raise InputError(f"mirrors of the transfer lack some of {', '.join(MIRROR)}: give all or none")
+
+    @property
+    def mirrors(self) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+        """Positions, normals and reflectance of the vertices of mirrors, and their faces; None if there are none."""
+        found = [getattr(self, name) for name in MIRROR]
+        return None if found[0] is None else (found[0], found[1], found[2], found[3])
 
     def metadata(self) -> dict[str, Any]:
         return {"objects": list(self.objects)} if self.objects else {}
@@ -143,6 +176,8 @@ class Vertices(Receivers):
         """InputError if a tensor holds NaN or infinity, or an index names no vertex."""
         super().check(of)
         check_indices("faces", self.faces, self.count)
+        if self.mirrors is not None:
+            check_indices("mirror_faces", self.mirrors[3], len(self.mirrors[0]))
         for each in self.objects:
             if not {"name", "role", "side", "rows"} <= each.keys() or not 0 <= each["rows"][0] <= each["rows"][1]:
                 raise InputError(f"objects of the transfer hold {each}, which names no rows: bake it again")

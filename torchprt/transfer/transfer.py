@@ -34,6 +34,8 @@ class Transfer:
     - `error`: estimated RMS error of a coefficient of the last layer from the finite number of rays, over all
       receivers, and `signal`: RMS of a coefficient, so that `error / signal` is relative; both None if nothing was
       sampled. `version`: of the torchprt that baked it.
+    - `cut`: the share of the light that could arrive that was still between mirrors after all reflections that were
+      followed, and is left out; None without mirrors.
 
     Raises InputError if there is no layer, or layers are of other receivers or orders; `check()` also looks at values.
     """
@@ -47,6 +49,7 @@ class Transfer:
     error: float | None = None
     signal: float | None = None
     version: str = ""
+    cut: float | None = None
 
     def __post_init__(self) -> None:
         if not self.layers:

@@ -7,6 +7,8 @@ from .bake_glossy import OrderWarning
 from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
+from .mirrors import MirrorWarning
+from .neighbourhood import GridWarning, bake_neighbourhood
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
 from .workers import Processes, Threads
@@ -14,12 +16,15 @@ from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
+    "MirrorWarning",
+    "GridWarning",
     "OrderWarning",
     "Processes",
     "Runner",
     "Task",
     "Threads",
     "bake",
+    "bake_neighbourhood",
     "bake_patch",
     "frames",
     "groove_transfer",

@@ -29,6 +29,7 @@ from torchprt.transport.diffuse_tasks import Job, Record
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
+from torchprt.transport.mirrors import warn_of_cut
 from torchprt.transport.progress import Bar
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.sight import with_sight
@@ -90,6 +91,9 @@ def bake(
     - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
     Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
 
+    Light that meets a mirror goes on from both of its sides, up to `trace.REFLECTIONS` times from mirror to mirror;
+    what is cut off then is `cut` of the result, a share of what could arrive, and a `MirrorWarning` above 0.1 %.
+
     Back faces block; they reflect nothing unless the material is two-sided. Laws: the same bits for any number of
     `threads`, any `runner` and after any interruption; a receiver that nothing blocks has exactly the unshadowed
     transfer; the result does not depend on the scale of the scene or on its distance from the origin.
@@ -107,7 +111,7 @@ def bake(
     KeyboardInterrupt after the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
-    _check(order, rays, bounces, shadows, seed, threads, runner)
+    check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
@@ -136,7 +140,7 @@ def bake(
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
-        store = stack.enter_context(_store(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        store = stack.enter_context(store_of(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
         stages = Stages(runner, report, store)
@@ -147,6 +151,7 @@ def bake(
             baked = _diffuse(job, geometry, receivers, wanted, bounces, stages)
         if store is not None and not keep:
             store.discard()
+    warn_of_cut(baked.cut)
     return baked
 
 
@@ -180,10 +185,11 @@ def _diffuse(
         seed=job.seed,
         error=error,
         signal=signal,
+        cut=solution.cut,
     )
 
 
-def _check(
+def check_numbers(
     order: int,
     rays: int,
     bounces: Bounces,
@@ -212,8 +218,8 @@ def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, s
     origins = job.tracer.origins(points.positions, points.normals)
     here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins), validity=None)
     if not bounces:
-        transfer = trace(here, stages, keep_hits=False)[None]
-        return here, Solution(transfer, transfer)
+        transfer, cut = trace(here, stages, keep_hits=False)
+        return here, Solution(transfer, transfer, cut=cut)
     over_vertices = solve(job, albedo, bounces - 1, stages)
     exitant = exit_radiance(over_vertices.transfer.expand(job.channels, -1, -1), albedo)
     tasks = [Record(rows, job.rays, job.seed) for rows in chunks(len(here.receivers))]
@@ -222,24 +228,28 @@ def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, s
     first = len(chunks(len(job.receivers)))
     for task, found in stages.run("points", tasks, here, exitant, first=first):
         transfer[:, :, task.index] = found["transfer"]
-    return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1)
+    return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1, over_vertices.cut)
 
 
 @contextlib.contextmanager
-def _store(
+def store_of(
     folder: Path | None,
     job: Job,
     geometry: Geometry,
     points: Points | None,
     bounces: int | float,
     wanted: Wanted | None,
+    **more: Any,
 ) -> Iterator[Checkpoint | None]:
-    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
+    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none. `more`: what
+    else the results depend on."""
     if folder is None and not bounces:
         yield None
         return
     contents = [geometry.positions, geometry.faces, geometry.receiver_positions, geometry.receiver_normals]
     contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex, job.receivers.origins]
+    if len(geometry.reflectance):
+        contents += [geometry.mirror, geometry.reflectance, geometry.mirror_normals]
     parameters: dict[str, Any] = {
         "order": job.order,
         "rays": job.rays,
@@ -247,6 +257,7 @@ def _store(
         "hits": bounces > 0,
         "chunk": CHUNK,
         "version": VERSION,
+        **more,
     }
     if wanted is not None:
         contents += [geometry.glossy, geometry.gloss_of_glossy, geometry.tangents]

@@ -67,6 +67,8 @@ def check(wanted: Wanted, geometry: Geometry, bounces: int | float) -> None:
         raise InputError(f"{one} takes one glossy material but the scene has {len(geometry.gloss)}: bake them apart")
     if wanted.frame == "visibility" and bounces:
         raise InputError("frame 'visibility' holds shadows alone: leave the bounces out, or bake matrices")
+    if wanted.frame == "visibility" and len(geometry.reflectance):
+        raise InputError("frame 'visibility' cannot hold light that mirrors turned: leave them out, or bake matrices")
 
 
 def warn_of_order(wanted: Wanted, geometry: Geometry, order: int, bounces: int | float = 0) -> float | None:
@@ -116,8 +118,8 @@ def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | f
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
     solution = solve(task, bounces, stages)
-    if not solution.bounces and job.channels > 1:
-        job = dataclasses.replace(job, channels=1)
+    if not solution.bounces and job.channels > job.surfaces.channels:
+        job = dataclasses.replace(job, channels=job.surfaces.channels)
         task = dataclasses.replace(task, job=dataclasses.replace(task.job, channels=1))
     error, signal = glossy_error_and_signal(task, solution, stages)
     transfer = _transfer(
@@ -134,6 +136,7 @@ def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | f
         seed=job.seed,
         error=error,
         signal=signal,
+        cut=solution.cut,
     )
     visible = transfer.layers.get(Visibility.kind)
     if isinstance(visible, Visibility):

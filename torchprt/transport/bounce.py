@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchprt.trace import Hits, Tracer
+from torchprt.trace import Hits, Mirrors, Tracer
 from torchprt.transport.diffuse import cosine_weights, to_world
+from torchprt.transport.mirrors import by_way_of_mirrors
 from torchprt.transport.receivers import Receivers
 
 
@@ -18,22 +20,27 @@ class Gather:
     """Sparse rows `G [v, V]`: how much of the exit radiance of receiver q arrives at p, cosine and 1/pi included.
 
     `S = v + 1`: entries of row p are `offsets[p]` to `offsets[p + 1]` of `sources` q and `weights`. Indices are
-    int32, because the product is ten times faster with them than with int64.
+    int32, because the product is ten times faster with them than with int64. A = 1, or 3 where coloured mirrors weigh
+    the three channels of W differently.
     """
 
     offsets: Int[Tensor, "S"]
     sources: Int[Tensor, "E"]
-    weights: Float[Tensor, "E"]
+    weights: Float[Tensor, "E A"]
 
     def __matmul__(self, exitant: Float[Tensor, "V W"]) -> Float[Tensor, "v W"]:
         if len(self.sources) == 0:
             return exitant.new_zeros(len(self.offsets) - 1, exitant.shape[1])
+        columns = exitant.unflatten(1, (self.weights.shape[1], -1))
+        return torch.cat([self._sum(columns[:, a], weights) for a, weights in enumerate(self.weights.unbind(1))], 1)
+
+    def _sum(self, exitant: Float[Tensor, "V w"], weights: Float[Tensor, "E"]) -> Float[Tensor, "v w"]:
         return torch.nn.functional.embedding_bag(
             self.sources,
-            exitant,
+            exitant.contiguous(),
             self.offsets,
             mode="sum",
-            per_sample_weights=self.weights,
+            per_sample_weights=weights.contiguous(),
             include_last_offset=True,
         )
 
@@ -41,10 +48,16 @@ class Gather:
 @dataclass
 class Surfaces:
     """Which receivers reflect at the corners of every triangle: `front [F, 3]` and `back [F, 3]`, -1 where that side
-    reflects nothing (a blocker, or the back of a one-sided material)."""
+    reflects nothing (a blocker, or the back of a one-sided material). `mirrors`: the faces that are mirrors, if any."""
 
     front: Int[Tensor, "F 3"]
     back: Int[Tensor, "F 3"]
+    mirrors: Mirrors | None = None
+
+    @property
+    def channels(self) -> int:
+        """Of direct light: 3 if it may come by way of coloured mirrors."""
+        return 1 if self.mirrors is None else self.mirrors.channels
 
 
 def shadowed_with_hits(
@@ -53,29 +66,41 @@ def shadowed_with_hits(
     receivers: Receivers,
     directions: Float[Tensor, "D 3"],
     project: Float[Tensor, "N D"],
-) -> tuple[Float[Tensor, "N v"], Gather]:
+) -> tuple[Float[Tensor, "A N v"], Gather, Float[Tensor, "v"]]:
     """Shadowed transfer of a chunk and its gather rows, from one set of traced rays. Pure, as `diffuse.shadowed`.
 
+    The last is what was cut off among mirrors, as a share of what could arrive.
     Source: Sloan, Kautz and Snyder 2002, section 5, shadow and interreflection passes.
     """
     turned = receivers.frames()
     rays = directions.to(torch.float32)
     weights = cosine_weights(directions).to(torch.float32)
     local = torch.empty(len(project), len(receivers), dtype=torch.float32)
+    by_mirrors = torch.zeros(surfaces.channels if surfaces.mirrors else 0, len(project), len(receivers))
+    lost = torch.zeros(len(receivers))
     parts: list[tuple[Tensor, Tensor, Tensor]] = []
     for rows in receivers.blocks(len(rays)):
         hits = tracer.hits(receivers.origins[rows], turned[rows], rays)
-        local[:, rows] = project @ (hits.triangle < 0).to(torch.float32).T
         lit = receivers.normals[rows].abs().sum(-1) > 0
-        parts.append(_entries(hits, surfaces, weights, lit))
+        escaped, share = hits.triangle < 0, None
+        if surfaces.mirrors is not None:
+            seen = by_way_of_mirrors(tracer, surfaces.mirrors, hits, turned[rows], rays)
+            by_mirrors[..., rows] = seen.direct(weights, math.isqrt(len(project)), len(lit)) * lit
+            lost[rows] = seen.lost(weights, len(lit)) * lit
+            hits, share = seen.hits, seen.shares(len(lit), len(rays))
+        local[:, rows] = project @ escaped.to(torch.float32).T
+        parts.append(_entries(hits, surfaces, weights, lit, share))
     counts, sources, values = (torch.cat(part) for part in zip(*parts, strict=True))
     offsets = torch.zeros(len(receivers) + 1, dtype=torch.int32)
     offsets[1:] = torch.cumsum(counts, 0)
-    return to_world(local, turned, receivers.normals), Gather(offsets, sources, values)
+    direct = to_world(local, turned, receivers.normals)[None]
+    return direct + by_mirrors if surfaces.mirrors else direct, Gather(offsets, sources, values), lost
 
 
-def _entries(hits: Hits, surfaces: Surfaces, weights: Tensor, lit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Entries a receiver, their sources and weights, for a block of receivers."""
+def _entries(
+    hits: Hits, surfaces: Surfaces, weights: Tensor, lit: Tensor, share: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Entries a receiver, their sources and weights, for a block of receivers; `share [v, D, A]` of each ray is left."""
     row, column = torch.nonzero((hits.triangle >= 0) & lit[:, None], as_tuple=True)
     triangle = hits.triangle[row, column].long()
     corners = torch.where(hits.front[row, column][:, None], surfaces.front[triangle], surfaces.back[triangle])
@@ -83,4 +108,5 @@ def _entries(hits: Hits, surfaces: Surfaces, weights: Tensor, lit: Tensor) -> tu
     values = torch.stack([1 - u - v, u, v], -1) * weights[column][:, None]
     reflects = corners >= 0
     counts = torch.bincount(row, weights=reflects.sum(-1).to(torch.float64), minlength=len(lit)).long()
+    values = values[..., None] if share is None else values[..., None] * share[row, column][:, None]
     return counts, corners[reflects].to(torch.int32), values[reflects]

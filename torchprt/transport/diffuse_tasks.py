@@ -70,7 +70,8 @@ class TracingTask(Task):
 
 @dataclass(frozen=True)
 class Trace(TracingTask):
-    """Shadowed "transfer" `[N, v]`; with `keep_hits` also the fields of `Gather`, for bounces."""
+    """Shadowed "transfer" `[A, N, v]`, A = 3 if some of it came by way of coloured mirrors; what was "cut" off among
+    mirrors, if there are any, `[v]`; with `keep_hits` also the fields of `Gather`, for bounces."""
 
     keep_hits: bool = False
     for_later = tuple(Gather.__dataclass_fields__)
@@ -78,10 +79,11 @@ class Trace(TracingTask):
     def compute(self, job: Job) -> dict[str, Tensor]:
         some = job.receivers[self.index]
         directions, project = job.directions(self.rays, self.seed)
-        if not self.keep_hits:
-            return {"transfer": shadowed(job.tracer, some, directions, project)}
-        direct, gather = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
-        return {"transfer": direct, **vars(gather)}
+        if not self.keep_hits and job.surfaces.mirrors is None:
+            return {"transfer": shadowed(job.tracer, some, directions, project)[None]}
+        direct, gather, cut = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
+        found = {"transfer": direct} if job.surfaces.mirrors is None else {"transfer": direct, "cut": cut}
+        return found | vars(gather) if self.keep_hits else found
 
 
 @dataclass(frozen=True)
@@ -91,9 +93,11 @@ class Record(TracingTask):
     def compute(self, job: Job, exitant: Float[Tensor, "V W"] | None) -> dict[str, Tensor]:
         some = job.receivers[self.index]
         directions, project = job.directions(self.rays, self.seed)
-        if exitant is None:
+        if exitant is None and job.surfaces.mirrors is None:
             return {"transfer": shadowed(job.tracer, some, directions, project).expand(job.channels, -1, -1)}
-        direct, gather = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
+        direct, gather, _ = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
+        if exitant is None:
+            return {"transfer": direct.expand(job.channels, -1, -1)}
         return {"transfer": direct + (gather @ exitant).view(len(some), job.channels, -1).permute(1, 2, 0)}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from torchprt.sh import hemisphere_basis, to_horizon
 from torchprt.trace import Hits, Tracer
 from torchprt.transport.bounce import Surfaces
 from torchprt.transport.diffuse import cosine_weights, projection, to_world
+from torchprt.transport.mirrors import ByMirrors, by_way_of_mirrors
 from torchprt.transport.receivers import Receivers, tangent_frames
 from torchprt.transport.rows import Recording, Rows
 
@@ -71,7 +73,11 @@ def tables(directions: Tensor, order: int, recording: Recording, brdfs: tuple[Br
 @dataclass
 class Arrivals:
     """Rays of a chunk that hit a surface which reflects: how many a receiver has (`counts [v]`), and of each its
-    direction `column [E]`, `triangle [E]`, barycentrics `u`, `v`, and side."""
+    direction `column [E]`, `triangle [E]`, barycentrics `u`, `v`, and side.
+
+    Where some came by way of mirrors also what is left of each, `share [E, A]`, and its last leg in the world, `leg
+    [E, 3]`; else these have no rows.
+    """
 
     counts: Int[Tensor, "v"]
     column: Int[Tensor, "E"]
@@ -79,6 +85,8 @@ class Arrivals:
     u: Float[Tensor, "E"]
     v: Float[Tensor, "E"]
     front: Tensor
+    share: Float[Tensor, "_ A"]
+    leg: Float[Tensor, "_ 3"]
 
 
 @dataclass
@@ -101,8 +109,9 @@ def shadowed(
     set_of: Tables,
     *more: list[Rows],
     keep_hits: bool,
-) -> tuple[Float[Tensor, "N v"], list[Float[Tensor, "g _ _"]], Arrivals | None]:
-    """Diffuse transfer of a chunk, the matrices of its glossy receivers, and with `keep_hits` what its rays hit.
+) -> tuple[Float[Tensor, "A N v"], list[Float[Tensor, "g _ _"]], Arrivals | None, Float[Tensor, "v"]]:
+    """Diffuse transfer of a chunk, the matrices of its glossy receivers, with `keep_hits` what its rays hit, and what
+    was cut off among mirrors. The matrices have A times the columns.
 
     `more` rows by material along the same directions give further matrices.
 
@@ -114,23 +123,48 @@ def shadowed(
     sets = (set_of.rows, *more)
     matrices: list[list[Tensor]] = [[] for _ in sets]
     arrivals: list[Arrivals] = []
+    mirrors, order = surfaces.mirrors, math.isqrt(len(set_of.project))
+    by_mirrors = torch.zeros(surfaces.channels, len(set_of.project), len(receivers))
+    lost = torch.zeros(len(receivers))
     for rows in receivers.blocks(len(set_of.directions)):
-        if keep_hits:
+        lit = receivers.normals[rows].abs().sum(-1) > 0
+        seen: ByMirrors | None = None
+        if keep_hits or mirrors is not None:
             hits = tracer.hits(receivers.origins[rows], turned[rows], set_of.directions)
             visible = (hits.triangle < 0).to(torch.float32)
-            lit = receivers.normals[rows].abs().sum(-1) > 0
-            arrivals.append(_arrivals(hits, surfaces, lit))
+            if mirrors is not None:
+                seen = by_way_of_mirrors(tracer, mirrors, hits, turned[rows], set_of.directions)
+                by_mirrors[..., rows] = seen.direct(set_of.cosine, order, len(lit)) * lit
+                lost[rows] = seen.lost(set_of.cosine, len(lit)) * lit
+            if keep_hits:
+                arrivals.append(reflecting(hits, surfaces, lit, turned[rows], set_of.directions, seen))
         else:
             answers = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
             visible = -answers.to(torch.float32)
         local[:, rows] = set_of.project @ visible.T
         here = turned[rows]
+        mirrored: Tensor | None = None
+        if seen is not None and len(seen.row):
+            mirrored = seen.radiance(order, len(lit), len(set_of.directions))
         for each, found in zip(sets, matrices, strict=True):
             parts = _by_material(each, material[rows])
-            found += _in_order([(which, of.shadowed(visible[which], here[which])) for of, which in parts])
+            found += _in_order(
+                [(which, _direct(of, visible, here, which, mirrored, surfaces.channels)) for of, which in parts]
+            )
     dark = receivers.normals[material >= 0].abs().sum(-1) == 0
     joined = [_joined(found).masked_fill_(dark[:, None, None], 0) for found in matrices]
-    return to_world(local, turned, receivers.normals), joined, _join(arrivals) if keep_hits else None
+    direct = to_world(local, turned, receivers.normals)[None]
+    direct = direct if mirrors is None else direct + by_mirrors
+    return direct, joined, _join(arrivals) if keep_hits else None, lost
+
+
+def _direct(
+    of: Rows, visible: Tensor, turned: Tensor, which: Tensor, mirrored: Tensor | None, channels: int
+) -> Float[Tensor, "g R W"]:
+    """Matrices of what comes straight and by way of mirrors."""
+    matrix = of.shadowed(visible[which], turned[which])
+    matrix = matrix if channels == 1 else matrix.repeat(1, 1, channels)
+    return matrix if mirrored is None else matrix + of.table @ mirrored[which]
 
 
 def gathered(
@@ -157,8 +191,13 @@ def gathered(
         row = torch.repeat_interleave(torch.arange(rows.stop - rows.start), arrivals.counts[rows].long())
         column = arrivals.column[part].long()
         radiance = torch.zeros(rows.stop - rows.start, len(set_of.directions), width)
-        toward = -(set_of.directions[column][:, None] @ turned[rows][row])[:, 0]
-        radiance[row, column] = _radiance(arrivals, part, toward, exitant, everything, surfaces)
+        if surfaces.mirrors is None:
+            toward = -(set_of.directions[column][:, None] @ turned[rows][row])[:, 0]
+            radiance[row, column] = exit_radiance_at(arrivals, part, toward, exitant, everything, surfaces)
+        else:
+            found = exit_radiance_at(arrivals, part, -arrivals.leg[part], exitant, everything, surfaces)
+            share = arrivals.share[part]
+            radiance[row, column] = (found.unflatten(1, (share.shape[1], -1)) * share[..., None]).flatten(1)
         diffuse[rows] = (set_of.cosine @ radiance.movedim(1, 0).flatten(1)).view(-1, width)
         parts = _by_material(set_of.rows, material[rows])
         matrices += _in_order([(which, of.table @ radiance[which]) for of, which in parts])
@@ -183,11 +222,19 @@ def _in_order(parts: list[tuple[Tensor, Tensor]]) -> list[Tensor]:
     return [torch.cat([matrix for _, matrix in parts])[back]]
 
 
-def _arrivals(hits: Hits, surfaces: Surfaces, lit: Tensor) -> Arrivals:
+def reflecting(
+    hits: Hits, surfaces: Surfaces, lit: Tensor, turned: Tensor, directions: Tensor, seen: ByMirrors | None
+) -> Arrivals:
+    """Of the rays of a block those that end on a surface which reflects, by way of mirrors if `seen` is given."""
+    hits = hits if seen is None else seen.hits
     reflects = ((surfaces.front >= 0).any(-1), (surfaces.back >= 0).any(-1))
     triangle = hits.triangle.clamp(min=0).long()
     wanted = (hits.triangle >= 0) & lit[:, None] & torch.where(hits.front, reflects[0][triangle], reflects[1][triangle])
     row, column = torch.nonzero(wanted, as_tuple=True)
+    share, leg = torch.zeros(0, 1), torch.zeros(0, 3)
+    if seen is not None:
+        share = seen.shares(len(lit), len(directions))[row, column]
+        leg = seen.toward(directions @ turned)[row, column]
     return Arrivals(
         torch.bincount(row, minlength=len(lit)).to(torch.int32),
         column.to(torch.int32),
@@ -195,6 +242,8 @@ def _arrivals(hits: Hits, surfaces: Surfaces, lit: Tensor) -> Arrivals:
         hits.u[row, column],
         hits.v[row, column],
         hits.front[row, column],
+        share,
+        leg,
     )
 
 
@@ -202,7 +251,7 @@ def _join(parts: list[Arrivals]) -> Arrivals:
     return Arrivals(*(torch.cat([getattr(part, name) for part in parts]) for name in Arrivals.__dataclass_fields__))
 
 
-def _radiance(
+def exit_radiance_at(
     arrivals: Arrivals, part: slice, toward: Tensor, exitant: Exitant, everything: Glossy, surfaces: Surfaces
 ) -> Float[Tensor, "E W"]:
     """Exit radiance of the points that rays hit, toward where the rays came from."""

@@ -59,8 +59,8 @@ class GlossyJob:
 
 @dataclass(frozen=True)
 class GlossyTrace(TracingTask):
-    """Shadowed "transfer" `[N, v]`, and matrices "matrix0" `[g, R, N]`, "matrix1", ... of what is `recorded`; with
-    `keep_hits` also the fields of `Arrivals`, for bounces."""
+    """Shadowed "transfer" `[A, N, v]`, and matrices "matrix0" `[g, R, A * N]`, "matrix1", ... of what is `recorded`,
+    and "cut", all as in `Trace`; with `keep_hits` also the fields of `Arrivals`, for bounces."""
 
     recorded: tuple[Recorded, ...]
     keep_hits: bool = False
@@ -68,7 +68,7 @@ class GlossyTrace(TracingTask):
 
     def compute(self, task: GlossyJob) -> dict[str, Tensor]:
         job, first, *more = task.job, *task.tables(self.rays, self.seed, *self.recorded)
-        direct, matrices, arrivals = shadowed(
+        direct, matrices, arrivals, cut = shadowed(
             job.tracer,
             job.surfaces,
             job.receivers[self.index],
@@ -78,6 +78,8 @@ class GlossyTrace(TracingTask):
             keep_hits=self.keep_hits,
         )
         contents = {f"matrix{number}": matrix for number, matrix in enumerate(matrices)}
+        if job.surfaces.mirrors is not None:
+            contents["cut"] = cut
         return {"transfer": direct, **contents, **({} if arrivals is None else vars(arrivals))}
 
 
@@ -91,13 +93,14 @@ class GlossyRecord(TracingTask):
         job, (set_of,) = task.job, task.tables(self.rays, self.seed, "wanted")
         some = (job.receivers if points is None else points)[self.index]
         material = torch.full((len(some),), -1) if points is not None else task.glossy.material[self.index]
-        direct, (matrix,), arrivals = shadowed(
+        direct, (matrix,), arrivals, _ = shadowed(
             job.tracer, job.surfaces, some, material, set_of, keep_hits=sent is not None
         )
-        diffuse, matrix = direct.T.repeat(1, job.channels), matrix.repeat(1, 1, job.channels)
+        more = job.channels // len(direct)
+        diffuse, matrix = direct.permute(2, 0, 1).flatten(1).repeat(1, more), matrix.repeat(1, 1, more)
         if sent is not None and arrivals is not None:
-            more, further = gathered(arrivals, sent, task.glossy, job.surfaces, some, material, set_of)
-            diffuse, matrix = diffuse + more, matrix + further
+            other, further = gathered(arrivals, sent, task.glossy, job.surfaces, some, material, set_of)
+            diffuse, matrix = diffuse + other, matrix + further
         return {"transfer": diffuse, **({"matrix": matrix} if len(matrix) else {})}
 
 

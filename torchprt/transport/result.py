@@ -38,7 +38,24 @@ def vertices(geometry: Geometry, validity: Validity | None = None) -> Vertices:
         if rows.stop > rows.start
     ]
     sight = None if validity is None or not bool(validity.sight.any()) else validity.sight
-    return dataclasses.replace(found, objects=objects, sight=sight)
+    return dataclasses.replace(found, objects=objects, sight=sight, **_mirrors(geometry))
+
+
+def _mirrors(geometry: Geometry) -> dict[str, Tensor]:
+    """The mirrors of a scene as they are drawn, vertices of no mirror left out."""
+    shining = geometry.mirror >= 0
+    if not bool(shining.any()):
+        return {}
+    faces = geometry.faces[shining]
+    used, corners = torch.unique(faces, return_inverse=True)
+    of_vertex = torch.zeros(len(used), dtype=torch.int64)
+    of_vertex[corners.flatten()] = geometry.mirror[shining].repeat_interleave(3)
+    return {
+        "mirror_positions": _single(geometry.positions[used]),
+        "mirror_normals": geometry.mirror_normals[used].to(torch.float32),
+        "mirror_reflectance": geometry.reflectance[of_vertex].expand(-1, 3).contiguous(),
+        "mirror_faces": corners.to(torch.int32),
+    }
 
 
 def uniform(weights: Tensor) -> Tensor:
@@ -48,9 +65,10 @@ def uniform(weights: Tensor) -> Tensor:
 
 
 def _where(positions: Tensor, normals: Tensor, faces: Tensor) -> Vertices:
-    # A scan comes in float32: twice the bytes would say nothing more.
+    return Vertices(positions=_single(positions), normals=normals.to(torch.float32), faces=faces.to(torch.int32))
+
+
+def _single(positions: Tensor) -> Tensor:
+    """In float32 if that says the same: a scan comes so, and twice the bytes would say nothing more."""
     single = positions.to(torch.float32)
-    exact = bool((single.to(torch.float64) == positions).all())
-    return Vertices(
-        positions=single if exact else positions, normals=normals.to(torch.float32), faces=faces.to(torch.int32)
-    )
+    return single if bool((single.to(torch.float64) == positions).all()) else positions

@@ -13,6 +13,7 @@ from torchprt.scene import Geometry
 from torchprt.trace import Tracer
 from torchprt.transport.bounce import Surfaces
 from torchprt.transport.diffuse_tasks import Bounce, Job, Trace
+from torchprt.transport.mirrors import mean_cut, mirrors_of
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
@@ -21,17 +22,20 @@ from torchprt.transport.task import chunks
 @dataclass
 class Solution:
     """`transfer [C, N, V]`; `arriving`, the same without what shines through membranes; `exitant [V, C * N]`, what
-    its last bounce gathered from (None without one)."""
+    its last bounce gathered from (None without one). `cut`: the share of light that was left out among mirrors, None if
+    there are none."""
 
     transfer: Tensor
     arriving: Tensor
     exitant: Tensor | None = None
     bounces: int = 0
+    cut: float | None = None
 
 
 def surfaces(geometry: Geometry) -> Surfaces:
     """Which receivers reflect at the corners of the faces of a scene."""
-    return Surfaces(geometry.receiver_of_vertex[geometry.faces], geometry.back_receiver_of_vertex[geometry.faces])
+    numberings = (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex)
+    return Surfaces(*(numbering[geometry.faces] for numbering in numberings), mirrors_of(geometry))
 
 
 def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:
@@ -81,10 +85,15 @@ def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]
 
 def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: Stages) -> Solution:
     """Transfer of all receivers of `job`, which are those that reflect; bounces need a store for their hits."""
-    direct = trace(job, stages, keep_hits=bounces > 0)
-    direct = job.filled(direct.T.contiguous()).T
+    direct, cut = trace(job, stages, keep_hits=bounces > 0)
+    vectors = job.filled(direct.permute(2, 0, 1).flatten(1).contiguous())
+    direct = vectors.unflatten(1, direct.shape[:2]).permute(1, 2, 0)
+
+    def alone() -> Solution:
+        return Solution(channels_first(job.through(vectors), len(direct)), direct, cut=cut)
+
     if not bounces:
-        return Solution(job.through(direct.T).T[None], direct[None])
+        return alone()
     assert stages.store is not None
     tasks = [Bounce(rows, number) for number, rows in enumerate(chunks(len(job.receivers)))]
     # From here on vertices first; the layout that shades again at the end.
@@ -98,7 +107,7 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
             added[task.index] = found["arriving"]
         if bounces == math.inf and not count and not bool(added.any()):
             # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
-            return Solution(job.through(direct.T).T[None], direct[None])
+            return alone()
         job.filled(added)
         # The sum of all bounces is one more gather from the sum of all but the last.
         sent = scale * job.through(total)
@@ -108,7 +117,7 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
             break
     arriving = channels_first(total, job.channels)
     shown = arriving if job.sheets is None else channels_first(job.through(total), job.channels)
-    return Solution(shown, arriving, sent, count)
+    return Solution(shown, arriving, sent, count, cut)
 
 
 def channels_first(rows: Float[Tensor, "V W"], channels: int) -> Float[Tensor, "C N V"]:
@@ -116,10 +125,13 @@ def channels_first(rows: Float[Tensor, "V W"], channels: int) -> Float[Tensor, "
     return rows.view(len(rows), channels, -1).permute(1, 2, 0).contiguous()
 
 
-def trace(job: Job, stages: Stages, *, keep_hits: bool) -> Float[Tensor, "N V"]:
-    """Shadowed transfer of every chunk that the store does not hold yet; with `keep_hits` the store gets the hits."""
+def trace(job: Job, stages: Stages, *, keep_hits: bool) -> tuple[Float[Tensor, "A N V"], float | None]:
+    """Shadowed transfer of every chunk that the store does not hold yet; with `keep_hits` the store gets the hits. The
+    second is what mirrors cut off, as in `Solution`."""
     tasks = [Trace(rows, job.rays, job.seed, keep_hits) for rows in chunks(len(job.receivers))]
-    transfer = torch.empty(job.order**2, len(job.receivers))
+    transfer = torch.empty(job.surfaces.channels, job.order**2, len(job.receivers))
+    cut: list[float] = []
     for task, found in stages.run("trace", tasks, job, first=0):
-        transfer[:, task.index] = found["transfer"]
-    return transfer
+        transfer[..., task.index] = found["transfer"]
+        cut += found["cut"].tolist() if "cut" in found else []
+    return transfer, mean_cut(cut)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchprt.transport.glossy import Exitant
 from torchprt.transport.glossy_tasks import GlossyBounce, GlossyJob, GlossyTrace, Recorded
+from torchprt.transport.mirrors import mean_cut
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
 
@@ -27,11 +28,13 @@ class Arrived:
 
 @dataclass
 class GlossySolution:
-    """What `arrived` at all receivers (without what shines through membranes), and what the last bounce gathered."""
+    """What `arrived` at all receivers (without what shines through membranes), what the last bounce gathered, and what
+    was `cut` off among mirrors."""
 
     arrived: Arrived
     exitant: Exitant | None = None
     bounces: int = 0
+    cut: float | None = None
 
 
 def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySolution:
@@ -40,9 +43,10 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     if bounces and not task.recording.bounces_alike:
         # What surfaces are shaded from when they are hit comes first.
         recorded = ("for hits", "wanted")
-    direct = _trace(task, recorded, stages, keep_hits=bounces > 0)
+    alone, cut = _trace(task, recorded, stages, keep_hits=bounces > 0)
     if not bounces:
-        return GlossySolution(direct[0])
+        return GlossySolution(alone[0], cut=cut)
+    direct = [_repeated(each, task.job.channels // task.job.surfaces.channels) for each in alone]
     total, added, count = direct[0], direct[0], 0
     while count < bounces:
         sent = exitant(task, total)
@@ -51,19 +55,18 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
         added = _bounce(task, exitant(task, added), recorded[0], stages, count + 1)
         if bounces == math.inf and not count and not added.norm():
             # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
-            last, columns = direct[-1], task.job.order**2
-            return GlossySolution(Arrived(last.diffuse[:, :columns], last.matrix[..., : task.recording.columns]))
+            return GlossySolution(alone[-1], cut=cut)
         total = Arrived(total.diffuse + added.diffuse, total.matrix + added.matrix)
         count += 1
         if bounces == math.inf and added.norm() <= task.job.enough * total.norm():
             break
     if len(recorded) == 1:
-        return GlossySolution(total, sent, count)
+        return GlossySolution(total, sent, count, cut)
     # One more gather, into the rows that are wanted.
     sent = exitant(task, total)
     last = _bounce(task, sent, recorded[1], stages, count + 1)
     arrived = Arrived(direct[1].diffuse + last.diffuse, direct[1].matrix + last.matrix)
-    return GlossySolution(arrived, sent, count + 1)
+    return GlossySolution(arrived, sent, count + 1, cut)
 
 
 def exitant(task: GlossyJob, arrived: Arrived) -> Exitant:
@@ -80,21 +83,30 @@ def _widths(weights: Tensor, channels: int) -> Tensor:
     return weights[:, :1] if channels == 1 else weights.expand(-1, 3)
 
 
-def _trace(task: GlossyJob, recorded: tuple[Recorded, ...], stages: Stages, *, keep_hits: bool) -> list[Arrived]:
-    """Direct light of every chunk, one for each recording; the diffuse part belongs to all."""
-    job, channels, glossy = task.job, task.job.channels, task.glossy
+def _trace(
+    task: GlossyJob, recorded: tuple[Recorded, ...], stages: Stages, *, keep_hits: bool
+) -> tuple[list[Arrived], float | None]:
+    """Direct light of every chunk, one for each recording; the diffuse part belongs to all. And what was cut off."""
+    job, glossy = task.job, task.glossy
+    channels = job.surfaces.channels
     tasks = [GlossyTrace(rows, job.rays, job.seed, recorded, keep_hits) for rows in chunks(len(job.receivers))]
-    diffuse = torch.empty(len(job.receivers), job.order**2)
+    diffuse = torch.empty(len(job.receivers), channels * job.order**2)
     recordings = [task.recording_of(each) for each in recorded]
-    matrices = [torch.empty(len(glossy.receivers), r.count, r.columns) for r in recordings]
+    matrices = [torch.empty(len(glossy.receivers), r.count, channels * r.columns) for r in recordings]
+    cut: list[float] = []
     for chunk, found in stages.run("trace", tasks, task, first=0):
-        diffuse[chunk.index] = found["transfer"].T
+        diffuse[chunk.index] = found["transfer"].permute(2, 0, 1).flatten(1)
+        cut += found["cut"].tolist() if "cut" in found else []
         for number, matrix in enumerate(matrices):
             matrix[glossy.among(chunk.index)] = found[f"matrix{number}"]
     job.filled(diffuse)
     for matrix in matrices:
         task.filled(matrix)
-    return [Arrived(diffuse.repeat(1, channels), matrix.repeat(1, 1, channels)) for matrix in matrices]
+    return [Arrived(diffuse, matrix) for matrix in matrices], mean_cut(cut)
+
+
+def _repeated(arrived: Arrived, times: int) -> Arrived:
+    return Arrived(arrived.diffuse.repeat(1, times), arrived.matrix.repeat(1, 1, times))
 
 
 def _bounce(task: GlossyJob, sent: Exitant, recorded: Recorded, stages: Stages, bounce: int) -> Arrived:

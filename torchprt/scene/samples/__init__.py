@@ -3,11 +3,13 @@
 from .coloured_box import coloured_box
 from .cylinder import cylinder
 from .dish import dish
+from .glider import glider, land, terrain
 from .head import head
 from .organic import organic
 from .painted_vase import painted_vase, vase_picture, write_painted_vase
 from .patches import bumps, waffle, wrinkles
 from .plane_and_blocker import plane_and_blocker
+from .ring import ring, ring_on_plane
 from .still_life import still_life
 from .teapot import teapot
 from .vase import vase
@@ -19,12 +21,17 @@ __all__ = [
     "cylinder",
     "dish",
     "flap",
+    "glider",
     "head",
+    "land",
     "organic",
     "painted_vase",
     "plane_and_blocker",
+    "ring",
+    "ring_on_plane",
     "still_life",
     "teapot",
+    "terrain",
     "vase",
     "vase_picture",
     "waffle",
