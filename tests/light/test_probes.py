@@ -41,7 +41,7 @@ def test_refuses_what_is_no_surface(positions, faces, count, fault):
 
 @pytest.mark.parametrize("bad", [torch.zeros(0, 3), torch.tensor([[0.0, math.inf, 0]])])
 def test_refuses_points_that_are_none(bad):
-    with pytest.raises(InputError, match="there is no sample point|hold NaN or infinity"):
+    with pytest.raises(InputError, match=r"there is no sample point|hold NaN or infinity"):
         blend_weights(bad, torch.rand(4, 3))
 
 
@@ -51,7 +51,8 @@ def test_points_are_spread_evenly_just_off_a_sphere(count):
     assert points.shape == (count, 3)
     spacing = math.sqrt(4 * math.pi / count)
     distance = points.norm(dim=1) - 1
-    assert bool((distance > 0).all()) and float(distance.max()) <= 1.1 * probes.LIFT * spacing
+    assert bool((distance > 0).all())
+    assert float(distance.max()) <= 1.1 * probes.LIFT * spacing
     # Nobody is farther from a point than the corner of a cell, 0.62 of the spacing of hexagons and more of few points.
     nearest = torch.cdist(fibonacci(4000)[0], points / points.norm(dim=1, keepdim=True)).amin(1)
     assert float(nearest.max()) <= (1.05 if count > 2 else 1.5) * spacing
@@ -143,7 +144,8 @@ def test_weights_have_no_kink():
     for steps in (400, 800, 1600):
         line = torch.linspace(-1.7, 1.7, steps + 1, dtype=F64)[:, None] * torch.tensor([0.3, 0.9, 0.2], dtype=F64)
         largest.append(float(blend_weights(points, line).diff(n=2, dim=0).abs().max()))
-    assert largest[0] / largest[1] >= 3.5 and largest[1] / largest[2] >= 3.5
+    assert largest[0] / largest[1] >= 3.5
+    assert largest[1] / largest[2] >= 3.5
 
 
 def test_are_stored_with_the_transfer(make_transfer, tmp_path):
@@ -153,7 +155,8 @@ def test_are_stored_with_the_transfer(make_transfer, tmp_path):
     assert torch.equal(read.sample_points, transfer.receivers.sample_points)
     assert torch.equal(read.blend, transfer.receivers.blend)
     taken = transfer.receivers.take(torch.tensor([1, 7]))
-    assert torch.equal(taken.blend, transfer.receivers.blend[[1, 7]]) and len(taken.sample_points) == 5
+    assert torch.equal(taken.blend, transfer.receivers.blend[[1, 7]])
+    assert len(taken.sample_points) == 5
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ LIFT = 0.1
 # Of the weights in units of the spacing: how fast they fall with the square of the distance, and how much the points of
 # the surface that are out of the hull are kept from leaning on the nearest corner alone.
 FALLOFF, RIDGE = 3.0, 1e-2
-SAMPLES, RESTARTS, ROUNDS, NEWTON = 4096, 8, 60, 60
+SAMPLES, RESTARTS, ROUNDS, NEWTON = 4096, 4, 40, 60
+# Powers of the plastic number: a low-discrepancy sequence of the square (Roberts 2018).
+SEQUENCE = 0.7548776662466927, 0.5698402909980532
 # Numbers that are worked on at once.
 PIECE = 1 << 23
 
@@ -41,7 +43,7 @@ def sample_points(
     if len(positions) == 0 or not bool(positions.isfinite().all()):
         raise InputError("positions must be one or more finite points: there is no surface to put sample points about")
     where, scale, placed = _normalised(positions, positions)
-    samples, normals, area = _on_surface(placed, faces.long(), max(SAMPLES, 64 * count), seed)
+    samples, normals, area = _on_surface(placed, faces.long(), max(SAMPLES, 32 * count), seed)
     if count == 1:
         found = samples.mean(0, keepdim=True)
     else:
@@ -130,7 +132,7 @@ def _on_surface(positions: Tensor, faces: Tensor, count: int, seed: int) -> tupl
     # Every face gets its share: places along the sum of the areas, and a low-discrepancy sequence within the faces.
     along = (steps + first[0]) / count * total
     face = torch.searchsorted(areas.cumsum(0), along).clamp(max=len(faces) - 1)
-    u, v = ((steps * ratio + start) % 1 for ratio, start in zip((0.7548776662466927, 0.5698402909980532), first[1:]))
+    u, v = ((steps * ratio + start) % 1 for ratio, start in zip(SEQUENCE, first[1:], strict=True))
     over = u + v > 1
     u, v = torch.where(over, 1 - u, u), torch.where(over, 1 - v, v)
     shares = torch.stack([1 - u - v, u, v], -1)
@@ -140,7 +142,7 @@ def _on_surface(positions: Tensor, faces: Tensor, count: int, seed: int) -> tupl
 
 def _shared_out(samples: Float64[Tensor, "M 3"], count: int, seed: int) -> Int[Tensor, "S"]:
     """Which samples are closest to the centres of `count` equal shares of them."""
-    restarts = max(1, min(RESTARTS, PIECE // (len(samples) * count)))
+    restarts = max(1, min(RESTARTS, PIECE // (4 * len(samples) * count)))
     generator = torch.Generator().manual_seed(seed)
     chosen = [torch.randperm(len(samples), generator=generator) for _ in range(restarts)]
     # More points than samples: some then lie at the same places.
@@ -177,8 +179,8 @@ def _blended(points: Tensor, positions: Float64[Tensor, "v 3"], gradients: bool,
 
 
 def _entropy_weights(steps: Float64[Tensor, "v S 3"]) -> Float64[Tensor, "v S"]:
-    """Of the steps from the points: the minimum over lambda of log sum exp(-b |d|^2 + lambda . d) + ridge |lambda|^2 / 2
-    by Newton's method with halved steps, where the weights are its softmax."""
+    """Of the steps d from the points: the softmax of -b |d|^2 + lambda . d, where the logarithm of the sum that it is
+    divided by, plus ridge |lambda|^2 / 2, is least. Newton's method with halved steps."""
     far = -FALLOFF * steps.square().sum(-1)
     ridge = RIDGE * torch.eye(3, dtype=steps.dtype, device=steps.device)
 
