@@ -5,6 +5,7 @@ from .built_in import BUILT_IN, built_in
 from .coefficients import read_coefficients, write_coefficients
 from .damage import DamagedImageWarning, ImageReport, inspect
 from .dominant import dominant
+from .emitters import Emitter, MeshEmitter, RectangleEmitter, SphereEmitter, incident
 from .environment import cube_to_latlong, latlong_to_cube, project
 from .image import read, read_with_report
 from .probes import blend_weights, sample_points, with_sample_points
@@ -17,7 +18,11 @@ __all__ = [
     "BUILT_IN",
     "WINDOWS",
     "DamagedImageWarning",
+    "Emitter",
     "ImageReport",
+    "MeshEmitter",
+    "RectangleEmitter",
+    "SphereEmitter",
     "blend_weights",
     "built_in",
     "clear_sky",
@@ -28,6 +33,7 @@ __all__ = [
     "disc",
     "dominant",
     "hemisphere",
+    "incident",
     "inspect",
     "latlong_to_cube",
     "overcast_sky",
