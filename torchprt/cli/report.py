@@ -68,8 +68,9 @@ def describe(transfer: Transfer) -> str:
     if transfer.bounces:
         parts.append(count(transfer.bounces, "bounce"))
     parts.append(f"order {transfer.order}")
-    parts += [_functions(layer) for layer in transfer.eye_layers.values()]
-    parts += [count(transfer.channels, "channel"), count(transfer.vertices, "vertex")]
+    parts += [_functions(each) for each in transfer.layers.values() if each.needs]
+    parts += [count(transfer.channels, "channel")]
+    parts.append(count(transfer.vertices, "node" if "receivers" in transfer.needs else "vertex"))
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
     if counts:
         parts[-1] += f" ({max(counts)} glossy)"
@@ -88,6 +89,8 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    if "spacing" in place:
+        lines = _grid(place)
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
@@ -95,6 +98,19 @@ def details(transfer: Transfer) -> list[str]:
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
         lines += [f"{name}: {line}" for line in told]
+    return lines
+
+
+def _grid(place: dict[str, Any]) -> list[str]:
+    """Where a grid stands around its object, and by what rule."""
+    last = [o + s * (n - 1) for o, s, n in zip(place["origin"], place["spacing"], place["shape"], strict=True)]
+    corners = " to ".join("({:.3g}, {:.3g}, {:.3g})".format(*corner) for corner in (place["origin"], last))
+    lines = [f"grid of {'x'.join(map(str, place['shape']))} nodes, {corners}"]
+    if place["share"] is not None:
+        lines.append(
+            f"its box encloses the shadow: on its border the object takes {place['border']:.1%} of the light of what faces "
+            f"up at most, {place['share']:.1%} were allowed"
+        )
     return lines
 
 
@@ -121,6 +137,8 @@ def _functions(layer: Layer) -> str:
     about, (_, _, rows, _) = layer.metadata(), layer.signal.shape
     if "reflectance" in layer.needs:
         return f"incident radiance of order {math.isqrt(rows)}"
+    if "receivers" in layer.needs:
+        return f"what arrives around it of order {math.isqrt(rows)}"
     if "output_order" not in about:
         if "factor_error" in about:
             return count(rows, "factor")
@@ -133,6 +151,10 @@ def _functions(layer: Layer) -> str:
 def _surface(layer: Layer) -> list[str]:
     """Albedo, materials, and how well its functions of the eye hold them."""
     about = layer.metadata()
+    if "receivers" in layer.needs:
+        error = about["interpolation_error"]
+        lines = [] if error is None else [f"diffuse receivers between nodes err by {error:.2%} (RMS), rays included"]
+        return lines + [f"{count(about['inside'], 'node')} in the object, filled from those around"] * bool(about["inside"])
     if "materials" not in about:
         return [f"{layer.weight_name} {_weight(layer.weight)}"]
     names = ", ".join(about["materials"]) or "none"

@@ -7,14 +7,15 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import embedding_bag, pad
 
 from torchprt.errors import InputError
 from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.sh.derivatives import with_all_derivatives
-from torchprt.sh.precision import KeepsSingle, at_least_single, widened
+from torchprt.sh.precision import at_least_single, widened
+from torchprt.shade.lattice import Lattice
 from torchprt.shade.layer import LayerModule, layer_module
 from torchprt.shade.receiving import DIFFUSE, Receiving
 from torchprt.shade.shader import turned_light
@@ -26,7 +27,7 @@ Pose = Tensor | tuple[Tensor, Tensor]
 `[..., 3]`."""
 
 
-class NeighbourhoodShader(KeepsSingle):
+class NeighbourhoodShader(nn.Module):
     """Radiance of receivers around an object that was baked by `transport.bake_neighbourhood`, which may be anywhere.
 
     The light is turned into the frame of the object and put under the matrices of all nodes, once. What the object
@@ -44,12 +45,6 @@ class NeighbourhoodShader(KeepsSingle):
     Source: Sloan, Kautz and Snyder 2002, section 8, equations 6, 9 and 12.
     """
 
-    single = ("origin", "step", "reach", "corners")
-    origin: Tensor
-    step: Tensor
-    reach: Tensor
-    corners: Tensor
-
     def __init__(
         self, transfer: Transfer, *, receiving: Receiving = DIFFUSE, dtype: torch.dtype | None = None
     ) -> None:
@@ -61,22 +56,14 @@ class NeighbourhoodShader(KeepsSingle):
         (layer,) = layers
         if dtype is None:
             dtype = torch.promote_types(torch.float32, layer.signal.dtype)
-        wide = at_least_single(dtype)
         self.order, self.output_order = layer.order, layer.output_order
         self.receiving = receiving
         self.shape = tuple(grid.shape)
         with torch.device("cpu"):
             self.signal = signal_module(layer.signal, Making(transfer.receivers, dtype))
             self.turn = Rotation(self.order, dtype)
-        _, ny, nz = self.shape
-        steps = torch.tensor([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        self.register_buffer("origin", torch.tensor(grid.origin, dtype=wide))
-        self.register_buffer("step", torch.tensor(grid.spacing, dtype=wide))
-        self.register_buffer("reach", torch.tensor([count - 1 for count in self.shape], dtype=wide))
-        self.register_buffer("corners", steps.to(wide))
-        self.register_buffer("strides", torch.tensor([ny * nz, nz, 1]), persistent=False)
-        self.register_buffer("numbers", (steps * torch.tensor([ny * nz, nz, 1])).sum(-1), persistent=False)
-        self.to(transfer.layers[layer.kind].signal.tensors()[layer.signal.stored[0]].device)
+            self.lattice = Lattice(grid, dtype)
+        self.to(layer.signal.tensors()[layer.signal.stored[0]].device)
 
     @property
     def dtype(self) -> torch.dtype:
@@ -208,7 +195,7 @@ class NeighbourhoodShader(KeepsSingle):
         field = self.signal.under(light) - light[..., :count, :].mT.unsqueeze(-1)
         batch = light.shape[:-2]
         table = field.flatten(-3, -2).mT.reshape(-1, 3 * count)
-        index, weights = self._nodes(here)
+        index, weights = self.lattice(here)
         everyone = torch.broadcast_shapes(batch, index.shape[:-2])
         number = torch.arange(math.prod(batch), device=index.device).view(*batch, 1, 1) * math.prod(self.shape)
         index = (index + number).expand(*everyone, *index.shape[-2:]).reshape(-1, 8)
@@ -216,18 +203,6 @@ class NeighbourhoodShader(KeepsSingle):
         receivers = weights.shape[-2]
         read = self.blend(table, index, weights.reshape(-1, 8))
         return read.view(*everyone, receivers, 3, count)
-
-    def _nodes(self, here: Float[Tensor, "*B R 3"]) -> tuple[Int[Tensor, "*B R 8"], Float[Tensor, "*B R 8"]]:
-        """The eight nodes around each receiver and their weights, which fall to zero at the border of the grid."""
-        place = (here - self.origin) / self.step
-        kept = torch.minimum(place, self.reach - place).amin(-1).clamp(0, 1)
-        kept = kept * kept * (3 - 2 * kept)
-        # Not `floor`: what is not negative is cut off.
-        low = torch.minimum(place.detach().clamp(min=0), self.reach - 1).long()
-        part = (torch.minimum(place.clamp(min=0), self.reach) - low).unsqueeze(-2)
-        sides = self.corners * part + (1 - self.corners) * (1 - part)
-        weights = sides[..., 0] * sides[..., 1] * sides[..., 2] * kept.unsqueeze(-1)
-        return (low * self.strides).sum(-1, keepdim=True) + self.numbers, weights
 
     def blend(
         self, table: Float[Tensor, "T D"], index: Int[Tensor, "K 8"], weights: Float[Tensor, "K 8"]
