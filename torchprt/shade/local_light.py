@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh import Rotation
 from torchprt.sh.precision import KeepsSingle, at_least_single, widened
 from torchprt.shade.layer import LayerModule
 from torchprt.shade.light_field import under_field
@@ -52,6 +53,11 @@ class LocalLightShader(KeepsSingle):
     def order(self) -> int:
         """Number of SH bands of the lights."""
         return self.shader.order
+
+    @property
+    def turn(self) -> Rotation:
+        """What turns the lights in a traced graph."""
+        return self.shader.turn
 
     @property
     def vertices(self) -> int:
