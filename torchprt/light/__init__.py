@@ -2,10 +2,11 @@
 
 from .analytic import constant, directional, disc, hemisphere, sphere
 from .built_in import BUILT_IN, built_in
+from .capture import capture
 from .coefficients import read_coefficients, write_coefficients
 from .damage import DamagedImageWarning, ImageReport, inspect
 from .dominant import dominant
-from .emitters import Emitter, MeshEmitter, RectangleEmitter, SphereEmitter, incident
+from .emitters import Emitter, MeshEmitter, RectangleEmitter, SphereEmitter, incident, local_light
 from .environment import cube_to_latlong, latlong_to_cube, project
 from .image import read, read_with_report
 from .probes import blend_weights, sample_points, with_sample_points
@@ -25,6 +26,7 @@ __all__ = [
     "SphereEmitter",
     "blend_weights",
     "built_in",
+    "capture",
     "clear_sky",
     "clear_sky_radiance",
     "constant",
@@ -36,6 +38,7 @@ __all__ = [
     "incident",
     "inspect",
     "latlong_to_cube",
+    "local_light",
     "overcast_sky",
     "project",
     "read",

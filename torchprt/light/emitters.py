@@ -19,6 +19,7 @@ from torchprt.errors import InputError
 from torchprt.light.analytic import sphere
 from torchprt.light.triangles import closest, solid_angles, triangle_lights
 from torchprt.sh.basis import values_are_at_hand
+from torchprt.transfer import Transfer, Vertices
 
 # Of its size: how near a lamp may come to what it lights.
 TOUCHES = 1e-6
@@ -207,6 +208,38 @@ def incident(
     axes = torch.eye(3, dtype=points.dtype, device=points.device)
     made = [torch.func.jvp(total, (points,), (axis.expand_as(points),)) for axis in axes.unbind(0)]
     return torch.stack([made[0][0], *(slope for _, slope in made)], 1).flatten(0, 1)
+
+
+def local_light(
+    transfer: Transfer, emitters: Sequence[Emitter], *, environment: Float[Tensor, "N 3"] | None = None
+) -> Float[Tensor, "K N 3"]:
+    """The K lights of the sample points that are stored with a transfer: of lamps nearby and of an `environment`.
+
+    What `shade.LocalLightShader` and graphs exported with `local` take; derivatives are there if the blend has a use for
+    them. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment is
+    of another order, or if a lamp contains or touches a vertex.
+    """
+    vertices = transfer.receivers
+    if not isinstance(vertices, Vertices) or vertices.sample_points is None or vertices.blend is None:
+        raise InputError(
+            "the transfer has no sample points: bake it with --sample-points, or make them with "
+            "light.with_sample_points"
+        )
+    points = vertices.sample_points
+    for each in emitters:
+        each.check_clear(vertices.positions, "vertex")
+    rows = vertices.blend.shape[1] // len(points)
+    lights = incident(emitters, points, transfer.order, gradients=rows > 1)
+    if environment is None:
+        return lights
+    if environment.shape != lights.shape[1:]:
+        raise InputError(
+            f"environment has shape {list(environment.shape)} but the transfer is of order {transfer.order}: project "
+            f"it with order={transfer.order}"
+        )
+    # Far away: it has no derivatives.
+    first = torch.arange(len(lights), device=lights.device) % rows == 0
+    return lights + torch.where(first[:, None, None], environment.to(lights), 0)
 
 
 def _load_forward_mode() -> None:

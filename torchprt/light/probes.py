@@ -106,6 +106,12 @@ def with_sample_points(transfer: Transfer, count: int, *, gradients: bool = Fals
     return dataclasses.replace(transfer, receivers=vertices.replace(sample_points=points, blend=blend))
 
 
+def spacing_of(points: Float[Tensor, "S 3"]) -> float:
+    """How far sample points are apart: the root of the mean squared distance to the nearest neighbour."""
+    where, scale, placed = _normalised(points)
+    return _spacing(placed) * scale
+
+
 def _normalised(*given: Tensor) -> tuple[Tensor, float, Float64[Tensor, "V 3"]]:
     """The middle and the size of all that is given, and the last of them where the middle is 0 and the size 1."""
     points = torch.cat([each.detach().to(torch.float64) for each in given])
