@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 def bake(
     mesh: Annotated[
         list[Path],
-        typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off .usd; or a scene, .toml"),
+        typer.Argument(
+            help="Meshes that receive light (.ply .obj .glb .gltf .stl .off .usd), each alone or as MESH=MATERIAL, "
+            "ring.ply=mirror:gold; or a scene, .toml."
+        ),
     ],
     output: options.Output,
     order: bake_options.Order = None,

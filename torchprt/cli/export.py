@@ -60,6 +60,10 @@ def export(
         typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
     ] = None,
     with_ground: bake_options.WithGround = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="One of several objects, by the name of its mesh in `torchprt info` (repeatable)."),
+    ] = None,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -87,6 +91,8 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if only:
+        loaded = loaded.only(*only)
     if with_ground and not web and ends == ".onnx":
         raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
     if ends != ".onnx" and not with_ground:

@@ -103,7 +103,13 @@ def render(
         raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {either(TRANSPARENT)}")
     given: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "output_order": output_order}
     given |= {"seed": seed, "threads": threads, "albedo": albedo, "material": material, "specular": specular}
-    given |= {"two_sided": two_sided, "blocker": blocker, "ground": ground, "ground_albedo": ground_albedo}
+    given |= {
+        "two_sided": two_sided,
+        "blocker": blocker,
+        "mirror": mirror,
+        "ground": ground,
+        "ground_albedo": ground_albedo,
+    }
     opened = Source(source, bake, given)
     environment = picture.environment(opened.order)
     loaded = opened.transfer()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchprt.files import CannotWrite
@@ -91,9 +92,18 @@ def details(transfer: Transfer) -> list[str]:
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
     if "spacing" in place:
         lines = _grid(place)
+    objects = [each for each in place.get("objects", ()) if each["side"] == "front"]
+    if len(objects) > 1:
+        told = [f"{Path(each['name']).name} ({each['rows'][1] - each['rows'][0]})" for each in objects]
+        lines.append(f"{count(len(objects), 'object')}: {', '.join(told)}")
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
+    if "mirror_faces" in transfer.receivers.tensors():
+        faces = transfer.receivers.tensors()["mirror_faces"]
+        lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
+    if transfer.cut:
+        lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)

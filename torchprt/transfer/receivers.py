@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import abc
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -76,6 +77,11 @@ class Sight(enum.IntEnum):
     """Not at all: as those that are filled, but no neighbour sees either."""
 
 
+def called(object: str, name: str) -> bool:
+    """Whether an object goes by a name: that of its mesh, or of the file without its folder."""
+    return name in (object, Path(object).name)
+
+
 MIRROR = ("mirror_positions", "mirror_normals", "mirror_reflectance", "mirror_faces")
 
 
@@ -141,9 +147,16 @@ class Vertices(Receivers):
         return {"objects": list(self.objects)} if self.objects else {}
 
     def ground(self) -> Bool[Tensor, "V"]:
-        found = super().ground()
+        return self._where(lambda each: each["role"] == "ground")
+
+    def of_objects(self, names: Sequence[str]) -> Bool[Tensor, "V"]:
+        """Which of them are of the objects whose meshes have these names."""
+        return self._where(lambda each: any(called(each["name"], name) for name in names))
+
+    def _where(self, wanted: Callable[[dict[str, Any]], bool]) -> Bool[Tensor, "V"]:
+        found = torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
         for each in self.objects:
-            if each["role"] == "ground":
+            if wanted(each):
                 found[slice(*each["rows"])] = True
         return found if self.original is None else found[self.original.long()]
 
