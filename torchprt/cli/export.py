@@ -17,6 +17,7 @@ from torchprt.files import check_writable
 from torchprt.words import count
 
 if TYPE_CHECKING:
+    from torchprt.onnx import ExportReport
     from torchprt.transfer import Transfer
 
 
@@ -91,6 +92,9 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if "receivers" in loaded.needs and not web and ends == ".onnx":
+        _refuse(graph, "the graph of a neighbourhood")
+        return _told(prt.onnx.export_neighbourhood(loaded, output))
     if only:
         loaded = loaded.only(*only)
     if with_ground and not web and ends == ".onnx":
@@ -110,6 +114,10 @@ def export(
     report = prt.onnx.export(
         loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
     )
+    _told(report)
+
+
+def _told(report: ExportReport) -> None:
     say(report)
     if report.parity is not None:
         say(report.parity)

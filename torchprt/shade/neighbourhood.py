@@ -87,14 +87,14 @@ class NeighbourhoodShader(nn.Module):
         positions: Float[Tensor, "*#B R 3"],
         normals: Float[Tensor, "*#B R 3"],
         pose: Pose | None = None,
-        albedo: float | Float[Tensor, "*#B #R #3"] = 1.0,
+        albedo: float | int | Tensor = 1.0,
         eye: Float[Tensor, "*#B 3"] | None = None,
         view: Float[Tensor, "*#B 3"] | None = None,
     ) -> Float[Tensor, "... R 3"]:
         """Linear exit radiance of receivers at `positions` with unit `normals`, both in the world; zero where a normal is.
 
         `light [..., N, 3]` of the world and `rotation [..., 3, 3]`, which turns it, as for `Shader`. `pose`: where the
-        object has gone (at rest if omitted): a batch are frames of an animation. `albedo`: what all is multiplied with,
+        object has gone (at rest if omitted): a batch are frames of an animation. `albedo`: a number or a tensor `[..., 3]` or `[..., R, 3]` that all is multiplied with,
         that of a diffuse receiver, or the weight of its lobe. `eye` or `view` if the receivers are glossy. All batches
         broadcast; gradients flow to light, rotation, pose, positions, normals, albedo and eye. Where a receiver moves
         from cell to cell or over the border, its gradient with respect to positions jumps.
@@ -245,7 +245,7 @@ def motion(pose: Pose | None) -> tuple[Float[Tensor, "*B 3 3"] | None, Float[Ten
     return turned, moved
 
 
-def weighed(radiance: Float[Tensor, "*B R 3"], albedo: float | Tensor) -> Float[Tensor, "*B R 3"]:
+def weighed(radiance: Float[Tensor, "*B R 3"], albedo: float | int | Tensor) -> Float[Tensor, "*B R 3"]:
     """Times an albedo, one number or a tensor."""
     return radiance * (albedo.to(radiance.dtype) if isinstance(albedo, Tensor) else albedo)
 

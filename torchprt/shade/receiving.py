@@ -102,7 +102,7 @@ class PhongReceiving(_About):
     needs = frozenset({"eye"})
     exponent: Tensor
 
-    def __init__(self, exponent: float | Tensor) -> None:
+    def __init__(self, exponent: float | int | Tensor) -> None:
         super().__init__()
         value = torch.as_tensor(exponent, dtype=torch.float32)
         if value.ndim or not bool(value.isfinite() & (value >= 0)):

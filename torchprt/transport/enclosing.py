@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.trace import Tracer
-from torchprt.transport.diffuse import cosine_weights
-from torchprt.transport.directions import frames, hemisphere
+from torchprt.transport.directions import frames, sphere
 
 SHARE = 0.02
 """Of the irradiance of a receiver that faces up under a white light: what an object may take beyond its box."""
@@ -24,20 +25,19 @@ def enclosing_box(
     It starts as the bounds `low` to `high` of the object. Those of its faces are moved outward, the four upright ones and
     the one below, until from no point of 9 x 9 on them the object takes more than `share` of the irradiance of a
     receiver that faces up (+y) under a white light, which is `(1 / pi) int (1 - V) max(s_y, 0) ds`, measured with 256
-    rays. It ends a tenth of the object above it: what faces up there has its light.
+    rays toward it. It ends a tenth of the object above it: what faces up there has its light.
 
     A tall object under which nothing is hidden still gets a tenth of its extent on every side.
     """
     extent = float((high - low).max())
+    middle, radius = (low + high) / 2, float((high - low).norm()) / 2
     margin = _STEP * extent
     low, high = low - margin, high + margin
-    rays = hemisphere(_RAYS)
-    weights = cosine_weights(rays).to(torch.float32)
     # The face below, and of x and z the two each: which axis, and whether it is the higher one.
     faces = [(1, False), (0, False), (0, True), (2, False), (2, True)]
     largest = 0.0
     for _ in range(int(_MOST / _STEP)):
-        found = [_taken(tracer, _face(low, high, axis, upper), rays.float(), weights) for axis, upper in faces]
+        found = [_taken(tracer, _face(low, high, axis, upper), middle, radius) for axis, upper in faces]
         largest = max(found)
         if largest <= share:
             break
@@ -59,8 +59,18 @@ def _face(low: Tensor, high: Tensor, axis: int, upper: bool) -> Float[Tensor, "p
     return points
 
 
-def _taken(tracer: Tracer, points: Tensor, rays: Tensor, weights: Tensor) -> float:
-    """The largest share of the irradiance of receivers that face up at these points."""
-    up = frames(torch.tensor([[0.0, 1.0, 0.0]])).to(torch.float32).expand(len(points), 3, 3).contiguous()
-    blocked = 1 + tracer.visibility(tracer.local(points).to(torch.float32), up, rays).to(torch.float32)
-    return float((blocked @ weights).max())
+def _taken(tracer: Tracer, points: Float[Tensor, "p 3"], middle: Float[Tensor, "3"], radius: float) -> float:
+    """The largest share of the irradiance of receivers that face up at these points; `middle` and `radius` of a sphere
+    that holds the object. Rays go where it may be: over a cap around the direction to its middle, one size for all."""
+    toward = middle - points
+    nearest = float(toward.norm(dim=-1).min())
+    cosine = -1.0 if nearest <= radius else math.sqrt(1 - (radius / nearest) ** 2)
+    directions = sphere(_RAYS)
+    z = 1 - (1 - directions[:, 2]) * (1 - cosine) / 2
+    across = torch.nn.functional.normalize(directions[:, :2], dim=-1) * (1 - z * z).clamp(min=0).sqrt()[:, None]
+    cap = torch.cat([across, z[:, None]], -1)
+    turned = frames(torch.nn.functional.normalize(toward, dim=-1))
+    up = (cap @ turned)[..., 1].clamp(min=0)
+    origins = tracer.local(points).to(torch.float32)
+    blocked = 1 + tracer.visibility(origins, turned.to(torch.float32), cap.to(torch.float32)).double()
+    return float((blocked * up).sum(-1).max()) * 2 * (1 - cosine) / len(cap)

@@ -146,7 +146,7 @@ def bake_neighbourhood(
             f"a grid of {'x'.join(map(str, place.shape))} nodes is too coarse: between them radiance near the object errs by "
             f"{between:.1%} (RMS); give more nodes or rays, or a smaller box",
             GridWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     values = matrix.view(len(matrix), output_order**2, channels, -1).permute(2, 0, 1, 3).contiguous()
     layer = Neighbourhood(signal=Dense(values=values), inside=int(inside.sum()), interpolation_error=between)

@@ -51,7 +51,7 @@ class Around:
 @dataclass(frozen=True)
 class Surround(TracingTask):
     """The "matrix" `[v, R, C * N]` of nodes, and which lie "inside" `[v]` of the object: none of their rays leaves, and
-    more than half end on the back of a surface that has none. With mirrors also what they "cut" `[v]` off."""
+    a quarter or more end on the back of a surface that has none. With mirrors also what they "cut" `[v]` off."""
 
     def compute(self, around: Around) -> dict[str, Tensor]:
         job, (directions, rows_of) = around.job, around.tables(self.rays, self.seed)
@@ -95,10 +95,11 @@ class Surround(TracingTask):
 
 
 def _within(job: Job, hits: Hits) -> Bool[Tensor, "v"]:
-    """Whether more than half of the rays that end somewhere end on the back of a surface that has none."""
+    """Whether a quarter of the rays that end somewhere end on the back of a surface that has none. All do inside of a
+    solid, half of them on its surface."""
     backs = (job.surfaces.back >= 0).any(-1)[hits.triangle.clamp(min=0).long()]
     odd = (hits.triangle >= 0) & ~hits.front & ~backs
-    return odd.sum(1) > 0.5 * (hits.triangle >= 0).sum(1)
+    return odd.sum(1) > 0.25 * (hits.triangle >= 0).sum(1)
 
 
 def _sent(
