@@ -76,7 +76,11 @@ def test_lights_of_a_transfer_are_those_of_its_points(make_transfer):
     ("lamps", "environment", "fault"),
     [
         ([SphereEmitter((0.5, 0.05, 0.5), 0.1, 1.0)], None, "the sphere lamp contains or touches vertex"),
-        ([RectangleEmitter((0.5, 0, 0.5), (0.1, 0, 0), (0, 0, 0.1), 1.0)], None, "the rectangle lamp contains or touches"),
+        (
+            [RectangleEmitter((0.5, 0, 0.5), (0.1, 0, 0), (0, 0, 0.1), 1.0)],
+            None,
+            "the rectangle lamp contains or touches",
+        ),
         ([LAMP], torch.zeros(9, 3), "environment has shape .* is of order 4"),
     ],
 )

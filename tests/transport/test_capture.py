@@ -55,7 +55,10 @@ def test_with_nothing_in_the_way_it_is_the_closed_form(lamps):
 def test_a_ball_of_triangles_shines_as_the_sphere():
     made = icosphere(subdivisions=4, radius=0.4)
     ball = MeshEmitter(torch.tensor(made.vertices, dtype=F64) + CENTRE, torch.tensor(made.faces), SPHERE.radiance)
-    assert relative(capture(POINTS, 4, lamps_seen([ball]), size=64), capture(POINTS, 4, lamps_seen([SPHERE]), size=64)) <= 0.01
+    assert (
+        relative(capture(POINTS, 4, lamps_seen([ball]), size=64), capture(POINTS, 4, lamps_seen([SPHERE]), size=64))
+        <= 0.01
+    )
 
 
 def test_a_wall_in_front_takes_all_and_one_behind_nothing():

@@ -37,9 +37,9 @@ def capture(
     `radiance(points [P, 3], directions [D, 3]) -> [P, D, 3]` is asked for all texels of some points at a time; what is
     lit must not be seen by it. `transport.lamps_seen` makes one of lamps and blockers; a renderer, or a network, is as
     good. With `gradients` K = 4 S: behind the light of a point its derivatives along x, y and z, as differences of the
-    cube maps half a `step` to either side, so there are seven a point; `step` is a tenth of the spacing of the points if
-    omitted. What is seen must then be smooth to the size of a texel, or `size` be large: the noise of the edges of lamps
-    is divided by the step. `light.incident` has exact derivatives where nothing is in the way.
+    cube maps half a `step` to either side, so there are seven a point; `step` is a tenth of the spacing of the points
+    if omitted. Let `size` be large then: the noise of edges, which are a texel wide, is divided by the step.
+    `light.incident` has exact derivatives where nothing is in the way.
 
     The result has the dtype of `points`; gradients flow through what `radiance` gives.
     Raises InputError if there is no point, `size` is below 1, `step` is not above 0 or not given for one point, or what

@@ -215,9 +215,9 @@ def local_light(
 ) -> Float[Tensor, "K N 3"]:
     """The K lights of the sample points that are stored with a transfer: of lamps nearby and of an `environment`.
 
-    What `shade.LocalLightShader` and graphs exported with `local` take; derivatives are there if the blend has a use for
-    them. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment is
-    of another order, or if a lamp contains or touches a vertex.
+    What `shade.LocalLightShader` and graphs exported with `local` take; derivatives are there if the blend has a use
+    for them. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment
+    is of another order, or if a lamp contains or touches a vertex.
     """
     vertices = transfer.receivers
     if not isinstance(vertices, Vertices) or vertices.sample_points is None or vertices.blend is None:

@@ -108,7 +108,7 @@ def with_sample_points(transfer: Transfer, count: int, *, gradients: bool = Fals
 
 def spacing_of(points: Float[Tensor, "S 3"]) -> float:
     """How far sample points are apart: the root of the mean squared distance to the nearest neighbour."""
-    where, scale, placed = _normalised(points)
+    _, scale, placed = _normalised(points)
     return _spacing(placed) * scale
 
 

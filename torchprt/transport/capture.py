@@ -21,11 +21,11 @@ ENCLOSED = 0.9
 def lamps_seen(emitters: Sequence[Emitter], blockers: Sequence[Mesh] = ()) -> Radiance:
     """What `light.capture` asks: the radiance of lamps where no blocker, and no other lamp, is before them.
 
-    `blockers`: meshes that are black and opaque from both sides; the object that is lit must not be among them, since it
+    `blockers`: meshes that are black and opaque from both sides; the object that is lit must not be among them: it
     shadows itself in its transfer. Gradients flow to the radiance of the lamps, not to where they are.
 
-    Raises InputError if there is no lamp, or one is neither of triangles nor a sphere. What it returns raises InputError
-    for a point that a lamp contains or touches, and for one that is inside a blocker.
+    Raises InputError if there is no lamp, or one is neither of triangles nor a sphere. What it returns raises
+    InputError for a point that a lamp contains or touches, and for one that is inside a blocker.
     """
     if not emitters:
         raise InputError("there is no lamp: give one or more emitters")
