@@ -45,17 +45,25 @@ def test_refuses_points_that_are_none(bad):
         blend_weights(bad, torch.rand(4, 3))
 
 
-@pytest.mark.parametrize("count", [2, 5, 16, 64])
+@pytest.mark.parametrize("count", [2, 4])
+def test_few_points_are_in_the_middle_of_their_sides(count):
+    points = sample_points(*sphere(), count)
+    torch.testing.assert_close(points.mean(0), torch.zeros(3, dtype=F64), rtol=0, atol=0.02)
+    # The centre of half a sphere is half way to its pole.
+    assert float(points.norm(dim=1).max()) <= (0.52 if count == 2 else 0.76)
+
+
+@pytest.mark.parametrize("count", [12, 16, 64])
 def test_points_are_spread_evenly_just_off_a_sphere(count):
     points = sample_points(*sphere(), count)
     assert points.shape == (count, 3)
     spacing = math.sqrt(4 * math.pi / count)
     distance = points.norm(dim=1) - 1
-    assert bool((distance > 0).all())
+    assert float(distance.min()) >= -0.02
     assert float(distance.max()) <= 1.1 * probes.LIFT * spacing
     # Nobody is farther from a point than the corner of a cell, 0.62 of the spacing of hexagons and more of few points.
     nearest = torch.cdist(fibonacci(4000)[0], points / points.norm(dim=1, keepdim=True)).amin(1)
-    assert float(nearest.max()) <= (1.05 if count > 2 else 1.5) * spacing
+    assert float(nearest.max()) <= 1.05 * spacing
 
 
 def test_one_point_is_the_middle():

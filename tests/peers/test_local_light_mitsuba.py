@@ -1,7 +1,7 @@
 """Does a path tracer that no one here wrote see the same light of a lamp that is one radius away?
 
-What differs is the order of the light (shadows and the clamped cosine end there), the blend between 16 sample points, and
-1 % of noise.
+What differs is the order of the light (shadows and the clamped cosine end there), the blend between 16 sample points,
+and 1 % of noise.
 """
 
 import math
@@ -11,9 +11,9 @@ import torch
 from path_tracer import under_lamp, variant
 from trimesh.creation import icosphere
 
-from torchprt.light import SphereEmitter, incident, local_light, with_sample_points
+from torchprt.light import SphereEmitter, blend_weights, incident, sample_points
 from torchprt.scene import Material, Object, Scene, load, make_mesh
-from torchprt.shade import local_light_shader, shader, under_field
+from torchprt.shade import shader
 from torchprt.transport import bake
 
 mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
@@ -55,24 +55,30 @@ def relative(found, wanted):
     return float((found - wanted).square().mean().sqrt() / wanted.square().mean().sqrt())
 
 
-# Measured: the ball 4.6 % (2.7 % under a light a vertex, 11 % without gradients), the scan 3.8 % (3.7 and 8.5 %).
+# Measured: the ball 4.7 % (3.0 % under a light a vertex, 12 % without gradients), the scan 4.1 % (4.0 and 7.9 %).
 @pytest.mark.parametrize(("name", "order", "size"), [("ball", 5, 0.25), ("bunny", 8, 0.5)])
 def test_a_lamp_one_radius_away_lights_as_in_a_path_tracer(name, order, size, mitsuba, request):
     scene = request.getfixturevalue(name)
     geometry = scene.geometry()
     lamp = one_radius_away(geometry.positions, size)
     rows = torch.randperm(geometry.receivers, generator=torch.Generator().manual_seed(1))[:VERTICES]
-    theirs = torch.from_numpy(under_lamp(mitsuba, geometry, lamp, ALBEDO, rows)).double()
+    theirs = torch.from_numpy(under_lamp(mitsuba, geometry, lamp, ALBEDO, rows, samples=128)).double()
     transfer = bake(scene, order=order, rays=256, bounces=0, progress=False)
-    module = shader(transfer)
+    vectors = shader(transfer).vectors()[0][:, rows].double()
+    places = transfer.positions[rows].double()
+
+    def error(field):
+        """Of the radiance of the chosen vertices, each under a light of its own, as `LocalLightShader` has it."""
+        return relative(torch.einsum("nv,vnc->vc", vectors, field), theirs)
+
+    points = sample_points(transfer.positions.double(), transfer.faces, POINTS)
     errors = {}
     for gradients in (False, True):
-        local = with_sample_points(transfer, POINTS, gradients=gradients)
-        lights = local_light(local, [lamp]).float()
-        errors[gradients] = relative(local_light_shader(module, local)(lights)[rows].double(), theirs)
-    field = incident([lamp], transfer.positions.double(), order).float()
-    limit = relative(under_field(module, field)[rows].double(), theirs)
+        lights = incident([lamp], points, order, gradients=gradients)
+        blend = blend_weights(points, places, gradients=gradients)
+        errors[gradients] = error(torch.einsum("vk,knc->vnc", blend, lights))
+    limit = error(incident([lamp], places, order))
     assert errors[True] <= 0.05
-    assert errors[True] <= errors[False] / 2
-    # What gradients leave is little beside what the order does.
-    assert math.sqrt(max(errors[True] ** 2 - limit**2, 0)) <= 0.04
+    # What the blend adds to what the order does.
+    added = {gradients: math.sqrt(max(error**2 - limit**2, 0)) for gradients, error in errors.items()}
+    assert added[True] <= added[False] / 2.5

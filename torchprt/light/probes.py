@@ -14,6 +14,9 @@ from torchprt.transfer import Transfer, Vertices
 
 # Of a spacing of the points: how far off the surface they lie, so that more of it is in their hull.
 LIFT = 0.1
+# Up to so many points are the centres of what they stand for, in the model. Measured, as LIFT, under lamps one radius
+# from a sphere.
+FEW = 4
 # Of the weights in units of the spacing: how fast they fall with the square of the distance, and how much the points of
 # the surface that are out of the hull are kept from leaning on the nearest corner alone.
 FALLOFF, RIDGE = 3.0, 1e-2
@@ -30,8 +33,9 @@ def sample_points(
     """S = `count` points close to a surface and spread evenly over it, where its incident light is captured.
 
     Centres of equal shares of the area (Lloyd's iteration over points of the surface, the best of some beginnings),
-    brought back to the surface and moved off it, the way that its faces look, by a tenth of their spacing. One point is
-    the centre of the area. Without faces the positions themselves are shared out, and are not moved off.
+    brought back to the surface and moved off it, the way that its faces look, by a tenth of their spacing. Few points
+    stay where the centres are, as each stands for all of a side, one for the whole; 16 go 94 % of the way.
+    Without faces the positions themselves are shared out, and are not moved off.
     The same points for the same `seed`, wherever vertices are doubled; where the surface is in the world and how large
     it is makes no other difference than rounding. float64 inside, the result has the dtype of `positions`.
 
@@ -47,8 +51,9 @@ def sample_points(
     if count == 1:
         found = samples.mean(0, keepdim=True)
     else:
-        nearest = _shared_out(samples, count, seed)
-        found = samples[nearest] + LIFT * math.sqrt(area / count) * normals[nearest]
+        centres, nearest = _shared_out(samples, count, seed)
+        off = samples[nearest] + LIFT * math.sqrt(area / count) * normals[nearest]
+        found = torch.lerp(centres, off, max(0.0, 1 - (FEW / count) ** 2))
     return (found * scale + where).to(positions.dtype)
 
 
@@ -146,8 +151,10 @@ def _on_surface(positions: Tensor, faces: Tensor, count: int, seed: int) -> tupl
     return (shares[..., None] * corners[face]).sum(1), normals[face], float(total)
 
 
-def _shared_out(samples: Float64[Tensor, "M 3"], count: int, seed: int) -> Int[Tensor, "S"]:
-    """Which samples are closest to the centres of `count` equal shares of them."""
+def _shared_out(
+    samples: Float64[Tensor, "M 3"], count: int, seed: int
+) -> tuple[Float64[Tensor, "S 3"], Int[Tensor, "S"]]:
+    """Centres of `count` equal shares of the samples, and which sample is closest to each."""
     restarts = max(1, min(RESTARTS, PIECE // (4 * len(samples) * count)))
     generator = torch.Generator().manual_seed(seed)
     chosen = [torch.randperm(len(samples), generator=generator) for _ in range(restarts)]
@@ -163,7 +170,7 @@ def _shared_out(samples: Float64[Tensor, "M 3"], count: int, seed: int) -> Int[T
         centres = torch.where(held > 0, means, centres)
     distances = torch.cdist(centres, samples[None], compute_mode="donot_use_mm_for_euclid_dist")
     best = distances.amin(1).square().sum(1).argmin()
-    return distances[best].argmin(1)
+    return centres[best], distances[best].argmin(1)
 
 
 def _spacing(points: Float64[Tensor, "S 3"]) -> float:
