@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -48,25 +48,35 @@ def rope() -> Mesh:
     return closed_mesh(field, np.array([-2.5, -0.6, -0.6]), np.array([2.5, 0.6, 0.6]), 20_000, "rope")
 
 
-def lamps() -> list[SphereEmitter | RectangleEmitter]:
+def lamps() -> list[SphereEmitter]:
     """Warm and cool at the ends, a white one in the middle, from above and below."""
     return [
-        SphereEmitter((-2.2, 0.75, 0.75), 0.16, (34.0, 11.0, 2.2)),
-        SphereEmitter((2.2, 0.7, 0.8), 0.16, (2.0, 9.0, 34.0)),
-        SphereEmitter((0.1, -0.85, 0.8), 0.12, (13.0, 26.0, 12.0)),
+        SphereEmitter((-2.15, 0.62, 0.5), 0.13, (34.0, 11.0, 2.2)),
+        SphereEmitter((2.15, 0.6, 0.5), 0.13, (2.0, 9.0, 34.0)),
+        SphereEmitter((0.0, -0.72, 0.55), 0.12, (13.0, 26.0, 12.0)),
     ]
 
 
-def exact(transfer: Transfer, module: Shader, shining: list[light.Emitter]) -> Tensor:
+def exact(
+    transfer: Transfer, module: Shader, shining: Sequence[light.Emitter], sky: Tensor | None = None
+) -> Tensor:
     """Radiance under a light a vertex."""
     with torch.no_grad():
-        return under_field(module, incident(shining, transfer.positions.double(), transfer.order).float())
+        field = incident(shining, transfer.positions.double(), transfer.order).float()
+        return under_field(module, field if sky is None else field + sky)
 
 
-def blended(transfer: Transfer, module: Shader, shining: list[light.Emitter], count: int, gradients: bool) -> Tensor:
+def blended(
+    transfer: Transfer,
+    module: Shader,
+    shining: Sequence[light.Emitter],
+    count: int,
+    gradients: bool,
+    sky: Tensor | None = None,
+) -> Tensor:
     located = with_sample_points(transfer, count, gradients=gradients)
     with torch.no_grad():
-        return local_light_shader(module, located)(local_light(located, shining).float())
+        return local_light_shader(module, located)(local_light(located, shining, environment=sky).float())
 
 
 def relative(found: Tensor, wanted: Tensor) -> float:
@@ -77,9 +87,12 @@ def picture() -> None:
     """A rope between coloured lamps: one light for all of it, sample points, and a light a vertex."""
     transfer = bake(Scene([Object(rope(), Material(0.75))]), order=6, rays=1024, bounces=1, progress=False)
     module, shining = shader(transfer), lamps()
-    wanted = exact(transfer, module, shining)
-    size = (1000, 300)
-    camera = preview.frame(1.02 * transfer.positions, (0.0, 0.25, 1.0), aspect=size[0] / size[1], field=24.0)
+    sky = light.hemisphere((0.0, 1.0, 0.0), (0.1, 0.11, 0.14), (0.05, 0.04, 0.04), transfer.order)
+    wanted = exact(transfer, module, shining, sky)
+    size = (1000, 330)
+    centres = torch.stack([lamp.center.double() for lamp in shining])
+    shown_at = torch.cat([transfer.positions.double(), centres, centres * torch.tensor([1.0, 1.25, 1.0])])
+    camera = preview.frame(shown_at, (0.0, 0.3, 1.0), aspect=size[0] / size[1], field=12.0)
     pieces = [(transfer.positions.double(), transfer.faces.long())]
     glow = []
     for lamp in shining:
@@ -93,7 +106,7 @@ def picture() -> None:
     still = preview.Still(
         torch.cat([places for places, _ in pieces]), torch.cat(corners), size=size, camera=camera, samples=16
     )
-    exposure = -math.log2(0.75 * float(wanted.quantile(0.995)) / 0.6)
+    exposure = -math.log2(0.6 * float(wanted.quantile(0.995)) / 0.6)
     shown, labels = [], []
     for count, gradients, words in (
         (1, False, "one sample in the middle"),
@@ -101,7 +114,7 @@ def picture() -> None:
         (16, True, "16 with gradients"),
         (None, False, "a light a vertex"),
     ):
-        radiance = wanted if count is None else blended(transfer, module, shining, count, gradients)
+        radiance = wanted if count is None else blended(transfer, module, shining, count, gradients, sky)
         error = "" if count is None else f": error {relative(radiance, wanted):.1%}"
         shown.append(still.picture(torch.cat([radiance.clamp(min=0), *glow]), exposure=exposure))
         labels.append(words + error)
