@@ -76,7 +76,7 @@ def blended(
 ) -> Tensor:
     located = with_sample_points(transfer, count, gradients=gradients)
     with torch.no_grad():
-        return local_light_shader(module, located)(local_light(located, shining, environment=sky).float())
+        return local_light_shader(module, located)(local_light(located, shining, environment=sky))
 
 
 def relative(found: Tensor, wanted: Tensor) -> float:

@@ -216,7 +216,7 @@ def local_light(
     """The K lights of the sample points that are stored with a transfer: of lamps nearby and of an `environment`.
 
     What `shade.LocalLightShader` and graphs exported with `local` take; derivatives are there if the blend has a use
-    for them. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment
+    for them. Of the dtype that `shader(transfer)` works in. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment
     is of another order, or if a lamp contains or touches a vertex.
     """
     vertices = transfer.receivers
@@ -229,7 +229,10 @@ def local_light(
     for each in emitters:
         each.check_clear(vertices.positions, "vertex")
     rows = vertices.blend.shape[1] // len(points)
-    lights = incident(emitters, points, transfer.order, gradients=rows > 1)
+    # As the shader of the transfer wants them.
+    stored = [layer.signal.dtype for layer in transfer.layers.values()]
+    dtype = functools.reduce(torch.promote_types, stored, torch.float32)
+    lights = incident(emitters, points, transfer.order, gradients=rows > 1).to(dtype)
     if environment is None:
         return lights
     if environment.shape != lights.shape[1:]:
