@@ -20,7 +20,7 @@ from torch import Tensor
 from trimesh.creation import icosphere
 
 from torchprt import light, preview
-from torchprt.light import RectangleEmitter, SphereEmitter, incident, local_light, with_sample_points
+from torchprt.light import SphereEmitter, incident, local_light, with_sample_points
 from torchprt.preview.lobe import sphere
 from torchprt.scene import Material, Mesh, Object, Scene, make_mesh, samples
 from torchprt.scene.samples.closed import closed_mesh
@@ -57,9 +57,7 @@ def lamps() -> list[SphereEmitter]:
     ]
 
 
-def exact(
-    transfer: Transfer, module: Shader, shining: Sequence[light.Emitter], sky: Tensor | None = None
-) -> Tensor:
+def exact(transfer: Transfer, module: Shader, shining: Sequence[light.Emitter], sky: Tensor | None = None) -> Tensor:
     """Radiance under a light a vertex."""
     with torch.no_grad():
         field = incident(shining, transfer.positions.double(), transfer.order).float()

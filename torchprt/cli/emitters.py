@@ -56,10 +56,8 @@ def _emitter(word: str) -> Emitter:
 def with_points(transfer: Transfer, lamps: Sequence[Emitter]) -> Transfer:
     """The transfer with sample points, made on the way, which is told, if there are lamps and it has none."""
     from torchprt.light import with_sample_points
-    from torchprt.transfer import Vertices
 
-    vertices = transfer.receivers
-    if not lamps or (isinstance(vertices, Vertices) and vertices.blend is not None):
+    if not lamps or getattr(transfer.receivers, "blend", None) is not None:
         return transfer
     say(f"{POINTS} sample points with gradients made on the way: bake with --sample-points to choose")
     return with_sample_points(transfer, POINTS, gradients=True)
@@ -77,8 +75,7 @@ class LampShader:
 
         self.local: LocalLightShader = local_light_shader(shader, transfer)
         self.lights = local_light(transfer, lamps).to(shader.turn.project.dtype)
-        points = transfer.receivers.sample_points  # type: ignore[attr-defined]
-        self.rows = len(self.lights) // len(points)
+        self.rows = len(self.lights) // len(transfer.receivers.sampled()[0])
         self.needs = shader.needs
 
     def under(self, light: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from torchprt.errors import InputError
 from torchprt.light.analytic import sphere
 from torchprt.light.triangles import closest, solid_angles, triangle_lights
 from torchprt.sh.basis import values_are_at_hand
-from torchprt.transfer import Transfer, Vertices
+from torchprt.transfer import Transfer
 
 # Of its size: how near a lamp may come to what it lights.
 TOUCHES = 1e-6
@@ -215,20 +215,14 @@ def local_light(
 ) -> Float[Tensor, "K N 3"]:
     """The K lights of the sample points that are stored with a transfer: of lamps nearby and of an `environment`.
 
-    What `shade.LocalLightShader` and graphs exported with `local` take; derivatives are there if the blend has a use
-    for them. Of the dtype that `shader(transfer)` works in. Raises InputError as `incident`, if no sample points are stored (`with_sample_points`), if the environment
-    is of another order, or if a lamp contains or touches a vertex.
+    What `shade.LocalLightShader` and graphs exported with `local` take, in the dtype that `shader(transfer)` works in;
+    derivatives are there if the blend has a use for them. Raises InputError as `incident`, if no sample points are
+    stored (`with_sample_points`), if the environment is of another order, or if a lamp contains or touches a vertex.
     """
-    vertices = transfer.receivers
-    if not isinstance(vertices, Vertices) or vertices.sample_points is None or vertices.blend is None:
-        raise InputError(
-            "the transfer has no sample points: bake it with --sample-points, or make them with "
-            "light.with_sample_points"
-        )
-    points = vertices.sample_points
+    points, blend = transfer.receivers.sampled()
     for each in emitters:
-        each.check_clear(vertices.positions, "vertex")
-    rows = vertices.blend.shape[1] // len(points)
+        each.check_clear(transfer.positions, "vertex")
+    rows = blend.shape[1] // len(points)
     # As the shader of the transfer wants them.
     stored = [layer.signal.dtype for layer in transfer.layers.values()]
     dtype = functools.reduce(torch.promote_types, stored, torch.float32)

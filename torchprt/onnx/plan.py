@@ -14,7 +14,6 @@ from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
 from torchprt.shade import EnvironmentShader, LocalLightShader, Shader, at_rest, fixed_orders, shader
-from torchprt.shade.local_light import blend_of
 from torchprt.transfer import Transfer
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
@@ -77,7 +76,7 @@ def plan(
     def made(dtype: torch.dtype) -> Shader:
         return of(transfer, dtype)
 
-    blend = blend_of(transfer) if local else None
+    places, blend = transfer.receivers.sampled() if local else (None, None)
     if local and fix_light is not None:
         raise InputError("fix_light is given, so the graph takes no light: leave local out")
     lights = None if blend is None else blend.shape[1]
@@ -92,8 +91,7 @@ def plan(
         about["exponent"] = float(lobe) if lobe.numel() == 1 else "one a receiver"
     if orders is not None:
         about["orders"] = {name: _counts(chosen) for name, chosen in orders.items()}
-    if blend is not None:
-        places = transfer.receivers.sample_points
+    if places is not None:
         about |= {"sample_points": places.tolist(), "gradients": lights != len(places)}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
     texels += 0 if blend is None else blend.numel()

@@ -14,7 +14,7 @@ from torchprt.sh.precision import KeepsSingle, at_least_single, widened
 from torchprt.shade.layer import LayerModule
 from torchprt.shade.light_field import under_field
 from torchprt.shade.shader import Shader, turned_light
-from torchprt.transfer import Transfer, Vertices
+from torchprt.transfer import Transfer
 
 
 class LocalLightShader(KeepsSingle):
@@ -114,15 +114,4 @@ class LocalLightShader(KeepsSingle):
 
 def local_light_shader(shader: Shader, transfer: Transfer) -> LocalLightShader:
     """The shader of a transfer with the blend that is stored with it. InputError if none is."""
-    return LocalLightShader(shader, blend_of(transfer))
-
-
-def blend_of(transfer: Transfer) -> Float[Tensor, "V K"]:
-    """The blend that is stored with a transfer. InputError, which says how to make one, if none is."""
-    vertices = transfer.receivers
-    if not isinstance(vertices, Vertices) or vertices.blend is None:
-        raise InputError(
-            "the transfer has no sample points: bake it with --sample-points, or make them with "
-            "light.with_sample_points"
-        )
-    return vertices.blend
+    return LocalLightShader(shader, transfer.receivers.sampled()[1])

@@ -49,6 +49,13 @@ class Receivers(Part, abc.ABC):
         model = ~self.ground()
         return self.positions[model] if bool(model.any()) else self.positions
 
+    def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
+        """The sample points of their light and its blend at each; InputError, which says how to get them, if none."""
+        raise InputError(
+            "the transfer has no sample points: bake it with --sample-points, or make them with "
+            "light.with_sample_points"
+        )
+
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
@@ -203,6 +210,11 @@ class Vertices(Receivers):
         if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
             raise InputError("original of the transfer does not name every vertex once: compress it again")
 
+
+    def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
+        if self.sample_points is None or self.blend is None:
+            return super().sampled()
+        return self.sample_points, self.blend
 
     def _check_blend(self) -> None:
         if (self.sample_points is None) != (self.blend is None):
