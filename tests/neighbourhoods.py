@@ -40,8 +40,14 @@ def slab(albedo=0.5):
 def slab_around(bounces=0):
     """The slab baked on a grid that is quick to bake."""
     return bake_neighbourhood(
-        slab((0.8, 0.3, 0.1)), order=ORDER, grid=(18, 14, 18), box=(-1.5, -1.5, -1.5, 1.5, 0.5, 1.5), rays=512,
-        bounces=bounces, progress=False, threads=1,
+        slab((0.8, 0.3, 0.1)),
+        order=ORDER,
+        grid=(18, 14, 18),
+        box=(-1.5, -1.5, -1.5, 1.5, 0.5, 1.5),
+        rays=512,
+        bounces=bounces,
+        progress=False,
+        threads=1,
     )
 
 

@@ -210,7 +210,9 @@ def test_clustered_reads_as_the_dense_one_it_stands_for():
     layer = clustered.layers["neighbourhood"]
     dense = clustered.with_layers(neighbourhood=layer.replace(signal=layer.signal.dense()))
     pose, given = posed(turn=(20.0, 30.0, 40.0), dtype=torch.float64), receivers(dtype=torch.float64)
-    one, other = (NeighbourhoodShader(each)(lights(dtype=torch.float64), **given, pose=pose) for each in (clustered, dense))
+    one, other = (
+        NeighbourhoodShader(each)(lights(dtype=torch.float64), **given, pose=pose) for each in (clustered, dense)
+    )
     close(one, other, 2000)
 
 
@@ -230,8 +232,12 @@ def test_gradients_flow_to_light_rotation_pose_positions_normals_and_albedo():
         skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
         pose = (torch.matrix_exp(skew) @ turn, shift)
         return shade(
-            coefficients, torch.matrix_exp(2 * skew), positions=positions, normals=normalize(normals, dim=-1),
-            pose=pose, albedo=albedo,
+            coefficients,
+            torch.matrix_exp(2 * skew),
+            positions=positions,
+            normals=normalize(normals, dim=-1),
+            pose=pose,
+            albedo=albedo,
         )
 
     assert torch.autograd.gradcheck(whole, [each.clone().requires_grad_() for each in inputs], atol=1e-6)
@@ -326,7 +332,12 @@ def test_two_objects_are_multiplied_and_one_is_exact():
     shifts = ((-0.3, 0.0, 0.0), (0.2, 0.3, 0.1))
     parts = [shade.parts(shines, positions=places, normals=up, pose=posed(at=shift)) for shift in shifts]
     close(by_ratio(parts[:1]), sum(parts[0]), 20)
-    boxes = [box_mesh(*([c + s for c, s in zip(corner, shift, strict=True)] for corner in ((-0.4, -0.05, -0.4), (0.4, 0.05, 0.4)))) for shift in shifts]
+    boxes = [
+        box_mesh(
+            *([c + s for c, s in zip(corner, shift, strict=True)] for corner in ((-0.4, -0.05, -0.4), (0.4, 0.05, 0.4)))
+        )
+        for shift in shifts
+    ]
     both = Scene([Object(mesh, Material(0.5)) for mesh in boxes])
     direct = bake(both, order=ORDER, rays=512, receivers=Points(places.double(), up.double(), 1.0), progress=False)
     wanted = shader(direct)(shines)

@@ -78,7 +78,14 @@ def test_agrees_with_brute_force_without_a_tracer():
     """20 000 rays of the twin against 4096: each errs by about the perimeter of the shadow over the root of its rays to
     the 3/4, some 2e-3."""
     found = bake_neighbourhood(
-        slab(), order=4, output_order=3, grid=(4, 4, 4), box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), rays=4096, progress=False, threads=1
+        slab(),
+        order=4,
+        output_order=3,
+        grid=(4, 4, 4),
+        box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
+        rays=4096,
+        progress=False,
+        threads=1,
     )
     wanted = brute(slab(), found.receivers.positions, 20_000, 4, 3)
     values = found.layers["neighbourhood"].signal.values[0].double()
@@ -125,7 +132,9 @@ def test_a_glossy_object_and_a_mirror_send_light_too():
 
 def test_nodes_in_the_object_go_on_as_those_around():
     cube = Scene([Object(box_mesh((-0.5,) * 3, (0.5,) * 3), Material(0.5))])
-    found = bake_neighbourhood(cube, **SMALL | {"grid": (9, 9, 9), "box": (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), "rays": 256})
+    found = bake_neighbourhood(
+        cube, **SMALL | {"grid": (9, 9, 9), "box": (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), "rays": 256}
+    )
     layer = found.layers["neighbourhood"]
     inner = (found.receivers.positions.abs() < 0.5).all(-1)
     # Three a side lie inside; on the surface rounding decides.

@@ -26,7 +26,9 @@ MOST = 720
 
 def cast(
     around: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt neighbourhood` wrote.")],
-    receiver: Annotated[Path, typer.Argument(help="What it stands over: a mesh, or a .safetensors of `torchprt bake`.")],
+    receiver: Annotated[
+        Path, typer.Argument(help="What it stands over: a mesh, or a .safetensors of `torchprt bake`.")
+    ],
     output: Annotated[
         Path, typer.Option("-o", "--output", help=".png or .jpg (several as a sheet), .webp, .gif or .mp4.")
     ],
@@ -41,7 +43,9 @@ def cast(
     model: Annotated[Path | None, typer.Option(help="A bake of the object, to show it too.")] = None,
     frames: Annotated[
         int | None,
-        typer.Option(min=1, max=MOST, help="Pictures along the path.", show_default="48 of what moves, else one a pose"),
+        typer.Option(
+            min=1, max=MOST, help="Pictures along the path.", show_default="48 of what moves, else one a pose"
+        ),
     ] = None,
     rate: Annotated[float, typer.Option(help="Pictures a second of what moves, up to 50.")] = 15.0,
     albedo: Annotated[str | None, typer.Option(help="Of a mesh: 0.5, or r,g,b.", show_default="0.5")] = None,
@@ -58,7 +62,7 @@ def cast(
     tone: asked.Tone = asked.TONE,
     repair: asked.Repair = False,
 ) -> None:
-    """Picture of an object that casts its shadow on a mesh or a bake it has never seen, or an animation along a path."""
+    """Picture, or animation along a path, of an object that casts its shadow on what it has never seen."""
     ends = check_writable(output, tuple(dict.fromkeys((*PICTURES, *MOVIES)))).suffix.lower()
     fastest = 120 if ends == ".mp4" else 50
     if not 0 < rate <= fastest:
@@ -99,8 +103,12 @@ def cast(
         model=None if model is None else load(model),
         albedo=0.5 if albedo is None else options.colour(albedo, "--albedo"),
         camera=preview.frame(
-            onto.positions, picture.view, aspect=picture.size[0] / picture.size[1], field=fov,
-            target=picture.target, distance=distance,
+            onto.positions,
+            picture.view,
+            aspect=picture.size[0] / picture.size[1],
+            field=fov,
+            target=picture.target,
+            distance=distance,
         ),
         size=picture.size,
         exposure=picture.exposure,

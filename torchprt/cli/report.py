@@ -118,8 +118,8 @@ def _grid(place: dict[str, Any]) -> list[str]:
     lines = [f"grid of {'x'.join(map(str, place['shape']))} nodes, {corners}"]
     if place["share"] is not None:
         lines.append(
-            f"its box encloses the shadow: on its border the object takes {place['border']:.1%} of the light of what faces "
-            f"up at most, {place['share']:.1%} were allowed"
+            f"its box encloses the shadow: on its border the object takes {place['border']:.1%} of the light of what "
+            f"faces up at most, {place['share']:.1%} were allowed"
         )
     return lines
 
@@ -164,7 +164,9 @@ def _surface(layer: Layer) -> list[str]:
     if "receivers" in layer.needs:
         error = about["interpolation_error"]
         lines = [] if error is None else [f"diffuse receivers between nodes err by {error:.2%} (RMS), rays included"]
-        return lines + [f"{count(about['inside'], 'node')} in the object, filled from those around"] * bool(about["inside"])
+        if about["inside"]:
+            lines.append(f"{count(about['inside'], 'node')} in the object, filled from those around")
+        return lines
     if "materials" not in about:
         return [f"{layer.weight_name} {_weight(layer.weight)}"]
     names = ", ".join(about["materials"]) or "none"

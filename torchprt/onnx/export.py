@@ -188,7 +188,7 @@ def _quiet() -> Iterator[None]:
     level = registration.level
     with warnings.catch_warnings():
         # All inputs share the dynamic size B; the exporter names it once and warns of the others.
-        warnings.filterwarnings("ignore", message=r"# The axis name: B will not be used", category=UserWarning)
+        warnings.filterwarnings("ignore", message=r"# The axis name: [BR] will not be used", category=UserWarning)
         # torch 2.13 copies its own deprecated tree specifications.
         warnings.filterwarnings("ignore", message=r".*LeafSpec.* is deprecated", category=FutureWarning)
         # One line for each torchvision operator, if torchvision is not installed.

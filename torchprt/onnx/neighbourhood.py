@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import onnx
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
+from torchprt.onnx.clustered import BlockGraph, BlockSignal
 from torchprt.onnx.contract import ParityError, Shapes, check_numbers, check_signature, signature
 from torchprt.onnx.describe import INPUTS, metadata
 from torchprt.onnx.export import ExportReport, traced
@@ -20,7 +22,6 @@ from torchprt.onnx.operators import OPSET, check_operators, count_operators
 from torchprt.onnx.parity import HALF_TURNS, SCALES, ParityReport, open_session, ratio, tolerance, worse
 from torchprt.onnx.plan import check_weights
 from torchprt.onnx.signal import arranged, by_channel
-from torchprt.onnx.clustered import BlockGraph, BlockSignal
 from torchprt.sh import Rotation, bands, basis, clamped_cosine, yaw_pitch_roll
 from torchprt.shade import DenseSignal, NeighbourhoodShader, SignalModule
 from torchprt.transfer import Transfer
@@ -45,9 +46,9 @@ def export_neighbourhood(
     """Writes what an object does to light around it, for diffuse receivers, to one `.onnx` file.
 
     Inputs `light [B, N, 3]`, `rotation [B, 3, 3]` of the environment, `positions [R, 3]` and `normals [R, 3]` of the
-    receivers in the world, `pose [B, 4, 4]` of the object; output `radiance [B, R, 3]`, times the `albedo`, one number or
-    three. float32, any B and any R. It computes what `shade.NeighbourhoodShader` does, dense or clustered. Everything
-    else as for `export`.
+    receivers in the world, `pose [B, 4, 4]` of the object; output `radiance [B, R, 3]`, times the `albedo`, one number
+    or three. float32, any B and any R. It computes what `shade.NeighbourhoodShader` does, dense or clustered.
+    Everything else as for `export`.
 
     Raises InputError if the transfer is no neighbourhood or holds a value that is not finite, the weights exceed 2 GB,
     or `path` or `albedo` cannot be used; ParityError as `export`.
@@ -70,7 +71,9 @@ def export_neighbourhood(
         "pose": torch.eye(4).repeat(2, 1, 1),
     }
     batch, receivers = torch.export.Dim("B"), torch.export.Dim("R")
-    free = {name: {0: receivers if name in ("positions", "normals") else batch} for name in example}
+    free: dict[str, dict[int, Any] | None] = {
+        name: {0: receivers if name in ("positions", "normals") else batch} for name in example
+    }
     about = {"source": "light", "size": None, "albedo": f"applied, {colour.tolist()}"}
     with atomic(path) as temporary:
         model = traced(NeighbourhoodGraph(shader, colour).eval(), example, free, ABOUT, {})
@@ -85,8 +88,8 @@ def export_neighbourhood(
         parity = compare_neighbourhood(temporary, transfer, albedo=albedo) if check else None
         if parity is not None and not parity.passed:
             raise ParityError(f"{path} was not written: ONNX Runtime and torch are {parity}")
-    shapes = ({name: shape for name, (_, shape) in values.items()} for values in (inputs, outputs))
-    return ExportReport(path, path.stat().st_size, OPSET, *shapes, count_operators(model), parity)
+    taken, given = ({name: shape for name, (_, shape) in values.items()} for values in (inputs, outputs))
+    return ExportReport(path, path.stat().st_size, OPSET, taken, given, count_operators(model), parity)
 
 
 def promised_of(order: int) -> Shapes:
@@ -118,27 +121,22 @@ class NeighbourhoodGraph(nn.Module):
         self.register_buffer("albedo", albedo.float())
 
     def forward(self, light: Tensor, rotation: Tensor, positions: Tensor, normals: Tensor, pose: Tensor) -> Tensor:
-        light = self.turn(light, rotation)
         turned, moved = pose[:, :3, :3], pose[:, :3, 3]
-        here = _turned_back(positions - moved.unsqueeze(1), turned)
+        # In the frame of the object, of plain light too: one turn, and one basis.
+        still = self.turn(light, turned.mT @ rotation)
         facing = _turned_back(normals, turned)
-        still = self.turn(light, turned.mT)
-        table = self.field(still)
-        plain_here = still[:, : self.count].mT
-        index, weights = self.lattice(here)
+        index, weights = self.lattice(_turned_back(positions - moved.unsqueeze(1), turned))
         first = torch.arange(light.shape[0], device=light.device) * self.field.places
         index = self.field.place(index) + first.view(-1, 1, 1)
-        # One corner at a time: eight times less memory.
-        total = torch.zeros(())
-        for corner in range(8):
-            row = table.index_select(0, index[..., corner].flatten()).reshape(*index.shape[:2], 3, self.count)
-            total = total + (row - plain_here.unsqueeze(1)) * weights[..., corner, None, None]
-        cosine = basis(facing, math.isqrt(self.count)) * self.cosine[: self.count]
-        change = total[..., 0] * cosine[..., 0, None]
-        for number in range(1, self.count):
-            change = change + total[..., number] * cosine[..., number, None]
-        rows = basis(normals, self.order) * self.cosine
-        plain = (light.mT.reshape(-1, self.order**2) @ rows.mT).reshape(-1, 3, positions.shape[0]).mT
+        rows = basis(facing, self.order) * self.cosine
+        plain = rows @ still
+        table = self.field(still)
+        # Products of a batch of receivers: sums over a batch of none fail.
+        read = weights.reshape(-1, 1, 8) @ table.index_select(0, index.flatten()).reshape(-1, 8, 3 * self.count)
+        near = rows[..., : self.count].reshape(-1, self.count, 1)
+        change = (read.reshape(-1, 3, self.count) @ near).reshape(plain.shape)
+        total = weights @ torch.ones(8, 1)
+        change = change - total * (rows[..., : self.count] @ still[:, : self.count])
         lit = (normals * normals).sum(-1, keepdim=True) > 0
         return torch.where(lit, plain + change, 0.0) * self.albedo
 
@@ -231,7 +229,9 @@ def compare_neighbourhood(
     pose[:, :3, :3] = rotations.flip(0)
     # So that receivers are at every place of the box, whichever way it has turned.
     middle = (low + high) / 2
-    pose[:, :3, 3] = middle - (pose[:, :3, :3] @ middle) + 0.3 * torch.randn(count, 3, generator=generator) * (high - low)
+    pose[:, :3, 3] = (
+        middle - (pose[:, :3, :3] @ middle) + 0.3 * torch.randn(count, 3, generator=generator) * (high - low)
+    )
     rms = largest = 0.0
     cases = 0
     for receivers in _RECEIVERS:

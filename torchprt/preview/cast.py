@@ -15,17 +15,18 @@ from torchprt.preview.picture import SAMPLES, Still
 from torchprt.scene import Mesh
 from torchprt.sh import rotate, yaw_pitch_roll
 from torchprt.shade import NeighbourhoodShader, by_ratio, shader, under_field
-from torchprt.shade.display import TONE, ToneMap
+from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.transfer import Transfer
 
 
 class Cast:
     """Pictures of `receiver` under a light in which copies of an object stand, whose `neighbourhood` was baked.
 
-    - `receiver`: a mesh, diffuse with `albedo`; or a bake, which then shadows itself too: its layers are put under the
-      light that the object leaves at each of its receivers.
+    - `receiver`: a mesh, diffuse with `albedo`, one for all or `[V, 3]`; or a bake, which then shadows itself too: its
+      layers are put under the light that the object leaves at each of its receivers.
     - `model`: a bake of the object itself, which is drawn too; nothing of the receiver shadows it.
-    - `camera` (all is framed if omitted), `size`, `samples`, `exposure` and `tone` as for `Still` and its pictures.
+    - `camera` (all is framed if omitted), `size`, `samples`, `exposure` and `tone` as for `Still` and its pictures;
+      `background`: a colour in sRGB, a plain grey one if omitted.
 
     Raises InputError if the neighbourhood is none, or the orders of light differ.
     """
@@ -37,12 +38,13 @@ class Cast:
         environment: Environment,
         *,
         model: Transfer | None = None,
-        albedo: float | Sequence[float] = 0.5,
+        albedo: float | Sequence[float] | Tensor = 0.5,
         camera: Camera | None = None,
         size: tuple[int, int] = (800, 600),
         exposure: float | int | None = None,
         tone: ToneMap = TONE,
         samples: int = SAMPLES,
+        background: tuple[float, float, float] | None = None,
     ):
         self.around = NeighbourhoodShader(neighbourhood)
         orders = {"neighbourhood": neighbourhood.order}
@@ -55,6 +57,7 @@ class Cast:
         self.exposure = automatic_exposure(environment.light) if exposure is None else float(exposure)
         self.tone: ToneMap = tone
         self.size, self.samples, self.camera = size, samples, camera
+        self.behind = None if background is None else linear(torch.tensor(background)).expand(size[1], size[0], 3)
         self.positions, self.normals = receiver.positions.float(), receiver.normals.float()
         self.faces = receiver.faces.long()
         self.albedo = torch.as_tensor(albedo, dtype=torch.float32)
@@ -101,13 +104,15 @@ class Cast:
                 colours.append(self.shown(rotate(light, back), **seen))
         still = Still(everything, torch.cat(faces), size=self.size, camera=camera, samples=self.samples)
         # An eye sees no negative radiance, which ringing leaves in deep shadow.
-        return still.picture(torch.cat(colours).clamp(min=0), exposure=self.exposure, tone=self.tone)
+        radiance = torch.cat(colours).clamp(min=0)
+        return still.picture(radiance, exposure=self.exposure, tone=self.tone, background=self.behind)
 
 
 def along(keys: Float[Tensor, "K 6"], count: int) -> Float[Tensor, "T 4 4"]:
     """`count` poses on a smooth way through keys: x, y, z and yaw, pitch, roll in degrees, evenly in time.
 
-    Natural cubic splines of the six numbers (straight between two keys), so a yaw that goes on from 350 to 370 turns on.
+    Natural cubic splines of the six numbers (straight between two keys), so a yaw that goes on from 350 to 370 turns
+    on.
     Raises InputError without keys, or unless `count` is 1 or more.
     """
     from scipy.interpolate import CubicSpline

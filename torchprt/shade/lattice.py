@@ -13,8 +13,8 @@ from torchprt.transfer import Grid
 class Lattice(KeepsSingle):
     """Points to the eight nodes of a grid around them and their trilinear weights.
 
-    Over the outermost cells the weights fall to zero: they sum to the smooth step `t^2 (3 - 2 t)` of the distance t from
-    the border in cells, 1 from one cell inside, 0 on it and beyond. Plain operations, none of which a graph lacks.
+    Over the outermost cells the weights fall to zero: they sum to the smooth step `t^2 (3 - 2 t)` of the distance t
+    from the border in cells, 1 from one cell inside, 0 on it and beyond. Plain operations, none of which a graph lacks.
     """
 
     single = ("origin", "step", "reach", "corners")

@@ -23,8 +23,8 @@ from torchprt.shade.signal import Making, signal_module
 from torchprt.transfer import Neighbourhood, Transfer
 
 Pose = Tensor | tuple[Tensor, Tensor]
-"""Where an object has gone from its place at rest: matrices `[..., 4, 4]`, or a rotation `[..., 3, 3]` and a translation
-`[..., 3]`."""
+"""Where an object has gone from its place at rest: matrices `[..., 4, 4]`, or a rotation `[..., 3, 3]` and a
+translation `[..., 3]`."""
 
 
 class NeighbourhoodShader(nn.Module):
@@ -32,9 +32,10 @@ class NeighbourhoodShader(nn.Module):
 
     The light is turned into the frame of the object and put under the matrices of all nodes, once. What the object
     changes of it, `M l - l`, is read trilinearly at each receiver, integrated against the reflectance of the receiver
-    (`receiving`, diffuse if omitted) and added to what the plain light gives, which is exact. So beyond the grid nothing
-    is changed: over its outermost cells the change falls to zero as the smooth step `t^2 (3 - 2 t)` of the distance t
-    from its border, in cells. A receiver costs 8 (3 M) multiplications for the reading, however complex the object is.
+    (`receiving`, diffuse if omitted) and added to what the plain light gives, which is exact. So beyond the grid
+    nothing is changed: over its outermost cells the change falls to zero as the smooth step `t^2 (3 - 2 t)` of the
+    distance t from its border, in cells. A receiver costs 8 (3 M) multiplications for the reading, however complex the
+    object is.
 
     Made of the layer `Neighbourhood` of a transfer, dense or clustered; `dtype` as for `shader`.
     Laws: linear in the light; light, pose, receivers (and eye) turned together change nothing; channels do not mix;
@@ -45,14 +46,14 @@ class NeighbourhoodShader(nn.Module):
     Source: Sloan, Kautz and Snyder 2002, section 8, equations 6, 9 and 12.
     """
 
-    def __init__(
-        self, transfer: Transfer, *, receiving: Receiving = DIFFUSE, dtype: torch.dtype | None = None
-    ) -> None:
+    def __init__(self, transfer: Transfer, *, receiving: Receiving = DIFFUSE, dtype: torch.dtype | None = None) -> None:
         super().__init__()
         grid = transfer.receivers.as_grid()
         layers = [layer for layer in transfer.layers.values() if isinstance(layer, Neighbourhood)]
         if len(layers) != 1:
-            raise InputError(f"transfer of kind '{transfer.kind}' has {len(layers)} neighbourhoods: give one that has one")
+            raise InputError(
+                f"transfer of kind '{transfer.kind}' has {len(layers)} neighbourhoods: give one that has one"
+            )
         (layer,) = layers
         if dtype is None:
             dtype = torch.promote_types(torch.float32, layer.signal.dtype)
@@ -91,21 +92,21 @@ class NeighbourhoodShader(nn.Module):
         eye: Float[Tensor, "*#B 3"] | None = None,
         view: Float[Tensor, "*#B 3"] | None = None,
     ) -> Float[Tensor, "... R 3"]:
-        """Linear exit radiance of receivers at `positions` with unit `normals`, both in the world; zero where a normal is.
+        """Linear exit radiance of receivers at `positions` with unit `normals`, both in the world; zero where a
+        normal is.
 
         `light [..., N, 3]` of the world and `rotation [..., 3, 3]`, which turns it, as for `Shader`. `pose`: where the
-        object has gone (at rest if omitted): a batch are frames of an animation. `albedo`: a number or a tensor `[..., 3]` or `[..., R, 3]` that all is multiplied with,
-        that of a diffuse receiver, or the weight of its lobe. `eye` or `view` if the receivers are glossy. All batches
-        broadcast; gradients flow to light, rotation, pose, positions, normals, albedo and eye. Where a receiver moves
-        from cell to cell or over the border, its gradient with respect to positions jumps.
+        object has gone (at rest if omitted): a batch are frames of an animation. `albedo`: a number or a tensor
+        `[..., 3]` or `[..., R, 3]` that all is multiplied with, that of a diffuse receiver, or the weight of its lobe.
+        `eye` or `view` if the receivers are glossy. All batches broadcast; gradients flow to light, rotation, pose,
+        positions, normals, albedo and eye. Where a receiver moves from cell to cell or over the border, its gradient
+        with respect to positions jumps.
 
         Raises InputError if the light is of another order, shapes do not fit, an eye is missing or not needed or,
         outside of a traced graph, if positions are not finite, normals are neither of unit length nor zero, or `pose`
         or `rotation` is none within 1e-4.
         """
-        plain, change = self.parts(
-            light, rotation, positions=positions, normals=normals, pose=pose, eye=eye, view=view
-        )
+        plain, change = self.parts(light, rotation, positions=positions, normals=normals, pose=pose, eye=eye, view=view)
         return weighed(plain + change, albedo)
 
     def parts(
@@ -119,7 +120,7 @@ class NeighbourhoodShader(nn.Module):
         eye: Float[Tensor, "*#B 3"] | None = None,
         view: Float[Tensor, "*#B 3"] | None = None,
     ) -> tuple[Float[Tensor, "... R 3"], Float[Tensor, "... R 3"]]:
-        """What the plain light gives for an albedo of 1, and what the object adds to that; arguments as of `forward`."""
+        """What the plain light gives for an albedo of 1, and what the object adds to it; as `forward`."""
         light, turned, moved, positions = self._given(light, rotation, positions, pose)
         wanted = light.dtype
         normals = self._normals(normals)
@@ -144,8 +145,8 @@ class NeighbourhoodShader(nn.Module):
         positions: Float[Tensor, "*#B R 3"],
         pose: Pose | None = None,
     ) -> Float[Tensor, "... R N 3"]:
-        """The light that arrives at points of the world, SH coefficients in the world, for `under_field`: receivers with
-        transfer of their own.
+        """The light that arrives at points of the world, SH coefficients in the world, for `under_field`: receivers
+        with transfer of their own.
 
         Bands above the output order are those of the plain light. Raises InputError as `forward`.
         """
@@ -232,7 +233,9 @@ def motion(pose: Pose | None) -> tuple[Float[Tensor, "*B 3 3"] | None, Float[Ten
         if pose.shape[-2:] != (4, 4):
             raise InputError(f"pose has shape {list(pose.shape)}: give [..., 4, 4], or a rotation and a translation")
         turned, moved = pose[..., :3, :3], pose[..., :3, 3]
-        if values_are_at_hand(pose) and not bool((pose[..., 3, :] - pose.new_tensor([0.0, 0, 0, 1])).abs().le(1e-4).all()):
+        if values_are_at_hand(pose) and not bool(
+            (pose[..., 3, :] - pose.new_tensor([0.0, 0, 0, 1])).abs().le(1e-4).all()
+        ):
             raise InputError("pose has a last row other than 0, 0, 0, 1: give rigid motions that act on columns")
     if turned.shape[-2:] != (3, 3) or moved.shape[-1:] != (3,):
         raise InputError(
@@ -255,10 +258,10 @@ def by_ratio(
 ) -> Float[Tensor, "... R 3"]:
     """Radiance of receivers near several objects, of the `parts` of each: what each lets through is multiplied.
 
-    `plain * prod_k (plain + change_k) / plain`, each ratio guarded as `(r p + e^2) / (p^2 + e^2)`, e being `guard` times
-    the largest plain radiance of the batch: where there is next to no plain light a ratio is 1. One object is exact up to
-    the guard, and none gives the plain light. Two objects whose shadows overlap are as if they were independent, which
-    misses that they may block the same light: of the sum of all changes that is further off.
+    `plain * prod_k (plain + change_k) / plain`, each ratio guarded as `(r p + e^2) / (p^2 + e^2)`, e being `guard`
+    times the largest plain radiance of the batch: where there is next to no plain light a ratio is 1. One object is
+    exact up to the guard, and none gives the plain light. Two objects whose shadows overlap are as if they were
+    independent, which misses that they may block the same light: of the sum of all changes that is further off.
     Raises InputError without parts.
     """
     if not parts:

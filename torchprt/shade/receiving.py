@@ -14,7 +14,6 @@ from torchprt.brdf import Brdf, exit_kernel
 from torchprt.errors import InputError
 from torchprt.sh import (
     Projection,
-    Rotation,
     bands,
     basis,
     clamped_cosine,
@@ -93,9 +92,10 @@ DIFFUSE = DiffuseReceiving()
 
 
 class PhongReceiving(_About):
-    """A Phong lobe of this exponent about the mirrored view, as `IncidentLayer` has it; a parameter if it is to be learned.
+    """A Phong lobe of this exponent about the mirrored view, as `IncidentLayer` has it.
 
-    Nothing blocks it below the horizon of the receiver. Raises InputError unless the exponent is finite and not negative.
+    Nothing blocks it below the horizon of the receiver. Raises InputError unless the exponent is finite and not
+    negative.
     Source: Sloan, Kautz and Snyder 2002, section 4.2.
     """
 
@@ -124,6 +124,7 @@ class BrdfReceiving(Receiving):
     """
 
     needs = frozenset({"eye"})
+    chain: Tensor
 
     def __init__(self, brdf: Brdf, order: int, *, output_order: int | None = None, projection: Projection = "optimal"):
         """`order` of the light."""
@@ -133,7 +134,6 @@ class BrdfReceiving(Receiving):
         kernel = exit_kernel(brdf, nodes, self.output_order, projection)
         chain = (kernel * weights) @ basis(nodes, order)
         self.register_buffer("chain", chain)
-        self.turn = Rotation(order)
 
     def rows(
         self, normals: Tensor, order: int, positions: Tensor, eye: Tensor | None, view: Tensor | None

@@ -209,7 +209,9 @@ class Shader(nn.Module):
             raise InputError("frames or positions have a batch: fix one pose at a time")
         return turned
 
-    def check_given(self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None, positions: Tensor | None) -> None:
+    def check_given(
+        self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None, positions: Tensor | None
+    ) -> None:
         """InputError if an eye or a pose is given that this shader has no use for, or one that does not suffice."""
         if "eye" not in self.needs and not (eye is None and view is None):
             raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")

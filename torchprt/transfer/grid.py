@@ -19,8 +19,8 @@ from torchprt.transfer.receivers import Receivers
 class Grid(Receivers):
     """The nodes of a regular grid around an object, in the frame of the object at rest.
 
-    - `shape`: how many nodes along x, y and z, two or more each; node (i, j, k) is receiver (i ny + j) nz + k and stands
-      at `origin + (i, j, k) * spacing`, both three numbers.
+    - `shape`: how many nodes along x, y and z, two or more each; node (i, j, k) is receiver (i ny + j) nz + k and
+      stands at `origin + (i, j, k) * spacing`, both three numbers.
     - `share`: how the grid was placed: it was grown until beyond it the object takes less than this share of the
       irradiance of a receiver that faces up (+y) under a white light; None if whoever baked it gave the place.
       `border`: the largest share that was found on its border.
@@ -47,7 +47,9 @@ class Grid(Receivers):
         if len(self.shape) != 3 or min(self.shape) < 2:
             raise InputError(f"grid of the transfer has {self.shape} nodes: give three counts of 2 or more")
         if len(self.origin) != 3 or len(self.spacing) != 3 or not all(map(math.isfinite, self.origin + self.spacing)):
-            raise InputError("grid of the transfer stands nowhere: origin and spacing must be three finite numbers each")
+            raise InputError(
+                "grid of the transfer stands nowhere: origin and spacing must be three finite numbers each"
+            )
         if min(self.spacing) <= 0:
             raise InputError(f"grid of the transfer has the spacing {self.spacing}: it must be above zero")
         self.positions = self.places()
@@ -70,8 +72,7 @@ class Grid(Receivers):
     def box(self) -> tuple[list[float], list[float]]:
         """The lowest and the highest corner."""
         last = [
-            first + step * (count - 1)
-            for first, step, count in zip(self.origin, self.spacing, self.shape, strict=True)
+            first + step * (count - 1) for first, step, count in zip(self.origin, self.spacing, self.shape, strict=True)
         ]
         return list(self.origin), last
 
@@ -85,6 +86,8 @@ def grid_in(low: Sequence[float], high: Sequence[float], shape: Sequence[int], *
     Raises InputError as `Grid`, or if the box is empty.
     """
     if not all(a < b for a, b in zip(low, high, strict=True)):
-        raise InputError(f"box from {list(low)} to {list(high)} is empty: give x0,y0,z0,x1,y1,z1, the lower corner first")
+        raise InputError(
+            f"box from {list(low)} to {list(high)} is empty: give x0,y0,z0,x1,y1,z1, the lower corner first"
+        )
     spacing = [(b - a) / max(count - 1, 1) for a, b, count in zip(low, high, shape, strict=True)]
     return Grid(shape=shape, origin=low, spacing=spacing, **known)

@@ -25,8 +25,8 @@ class Neighbourhood(Layer):
 
     - `inside`: how many nodes lie in the object and see nothing of the world; they continue those around them.
     - `interpolation_error`: relative RMS error of the radiance of diffuse receivers that face along the six axes, under
-      lights that are white over N, in the middle of cells, where it is read from the nodes around them: in cells that the
-      object takes or adds 2 % in, and that its surface does not pass through. The error of the rays is in it.
+      lights that are white over N, in the middle of cells, where it is read from the nodes around them: in cells that
+      the object takes or adds 2 % in, and that its surface does not pass through. The error of the rays is in it.
 
     Raises InputError if its rows are not the square of an order, have more bands than the light, or its signal is in
     lobes, which turn with a surface.
@@ -50,7 +50,8 @@ class Neighbourhood(Layer):
             raise InputError(f"signal of the transfer has {rows} rows: it must be the square of the output order")
         if rows > columns:
             raise InputError(
-                f"output order {self.output_order} of the transfer is above the order {self.order} of the light: lower it"
+                f"output order {self.output_order} of the transfer is above the order {self.order} of the light: "
+                "lower it"
             )
         if self.receivers is not None:
             raise InputError("a neighbourhood is about all nodes of its grid: leave receivers out")

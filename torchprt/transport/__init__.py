@@ -17,8 +17,8 @@ from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
-    "MirrorWarning",
     "GridWarning",
+    "MirrorWarning",
     "OrderWarning",
     "Processes",
     "Runner",

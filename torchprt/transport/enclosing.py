@@ -22,8 +22,8 @@ def enclosing_box(
 ) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"], float]:
     """The lowest and highest corner of the box, and the largest share that was found on its border.
 
-    It starts as the bounds `low` to `high` of the object. Those of its faces are moved outward, the four upright ones and
-    the one below, until from no point of 9 x 9 on them the object takes more than `share` of the irradiance of a
+    It starts as the bounds `low` to `high` of the object. Those of its faces are moved outward, the four upright ones
+    and the one below, until from no point of 9 x 9 on them the object takes more than `share` of the irradiance of a
     receiver that faces up (+y) under a white light, which is `(1 / pi) int (1 - V) max(s_y, 0) ds`, measured with 256
     rays toward it. It ends a tenth of the object above it: what faces up there has its light.
 

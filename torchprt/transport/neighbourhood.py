@@ -85,9 +85,9 @@ def bake_neighbourhood(
     - `order` of the light; `output_order` of the radiance that arrives, no larger: 3 is enough for diffuse receivers.
     - `grid`: nodes along x, y (up) and z, two or more each, or about how many there are to be in all: their cells are
       then as near to cubes as the box allows. The paper has 64 x 64 x 8, the last upward.
-    - `box`: its corners x0, y0, z0, x1, y1, z1 in the frame of the object; if omitted it is found: grown until beyond it
-      the object takes less than `share` of the irradiance of a receiver that faces up (`enclosing_box`). `Grid` has what
-      came of it.
+    - `box`: its corners x0, y0, z0, x1, y1, z1 in the frame of the object; if omitted it is found: grown until beyond
+      it the object takes less than `share` of the irradiance of a receiver that faces up (`enclosing_box`). `Grid` has
+      what came of it.
     - `rays` a node, over the sphere; `bounces`: light that the object reflects to its surroundings, 1 for what comes
       straight from it, or more for what bounces on it first; mirrors reflect without any.
     - `seed`, `threads`, `runner`, `checkpoint`, `keep`, `progress` as for `bake`.
@@ -95,11 +95,11 @@ def bake_neighbourhood(
     Nodes inside of the object are filled from those around them (harmonically, over the grid); `inside` counts them.
     The middles of 512 cells are baked too: `interpolation_error` of the layer is how far what is read between nodes is
     from them, and a `GridWarning` tells if that is above 2.5 %.
-    Laws: as for `bake`: the same bits whoever runs it and after any interruption; a node from which nothing of the object
-    is seen has the identity.
-    Memory: `4 C G M N` bytes for the result and as much while it is put together.
+    Laws: as for `bake`: the same bits whoever runs it and after any interruption; a node from which nothing of the
+    object is seen has the identity. Memory: `4 C G M N` bytes for the result and as much while it is put together.
 
-    Raises InputError if an argument is out of range or does not fit, as `bake`; and if the whole box lies in the object.
+    Raises InputError if an argument is out of range or does not fit, as `bake`; and if the whole box lies in the
+    object.
     Source: Sloan, Kautz and Snyder 2002, section 8.
     """
     check_numbers(order, rays, bounces, True, seed, threads, runner)
@@ -143,8 +143,8 @@ def bake_neighbourhood(
     warn_of_cut(cut)
     if between is not None and between > COARSE:
         warnings.warn(
-            f"a grid of {'x'.join(map(str, place.shape))} nodes is too coarse: between them radiance near the object errs by "
-            f"{between:.1%} (RMS); give more nodes or rays, or a smaller box",
+            f"a grid of {'x'.join(map(str, place.shape))} nodes is too coarse: between them radiance near the object "
+            f"errs by {between:.1%} (RMS); give more nodes or rays, or a smaller box",
             GridWarning,
             stacklevel=3,
         )
@@ -164,18 +164,16 @@ def bake_neighbourhood(
     )
 
 
-def _check(
-    order: int, output_order: int, grid: int | Sequence[int], box: Sequence[float] | None, share: float
-) -> None:
+def _check(order: int, output_order: int, grid: int | Sequence[int], box: Sequence[float] | None, share: float) -> None:
     if not 1 <= output_order <= order:
         raise InputError(f"output_order is {output_order}: give a number from 1 to {order}, the order of the light")
     if isinstance(grid, int):
         if not 8 <= grid <= _LARGEST:
             raise InputError(f"grid is {grid}: give a number of nodes from 8 to {_LARGEST}, or three counts")
-    elif len(grid) != 3 or not all(2 <= count for count in grid) or math.prod(grid) > _LARGEST:
+    elif len(grid) != 3 or not all(count >= 2 for count in grid) or math.prod(grid) > _LARGEST:
         raise InputError(
-            f"grid is {'x'.join(map(str, grid))}: give three counts along x, y and z, from 2 each, and {_LARGEST} in all "
-            "at most"
+            f"grid is {'x'.join(map(str, grid))}: give three counts along x, y and z, from 2 each, and {_LARGEST} in "
+            "all at most"
         )
     if box is not None and (len(box) != 6 or not all(map(math.isfinite, box))):
         raise InputError(f"box has {len(box)} numbers: give six finite ones, x0, y0, z0, x1, y1, z1")
@@ -206,7 +204,8 @@ def _counts(low: Sequence[float], high: Sequence[float], nodes: int) -> list[int
 def _sent(
     job: Job, geometry: Geometry, wanted: Wanted | None, bounces: int | float, stages: Stages
 ) -> tuple[Glossy, Exitant | None, int]:
-    """Which receivers of the object are glossy, and what all send out after all bounces but the last, with their count."""
+    """Which receivers of the object are glossy, and what all send out after all bounces but the last, with their
+    count."""
     nothing = torch.zeros(0, dtype=torch.int64)
     none = torch.full((len(job.receivers),), -1)
     diffuse = Glossy(nothing, none, none, torch.zeros(0, 3, 3), ())
@@ -249,14 +248,17 @@ def _links(shape: Sequence[int]) -> csr_matrix:
     return coo_matrix((np.ones(len(both[0])), both), (number.size, number.size)).tocsr()
 
 
-def _interpolation_error(
-    around: Around, place: Grid, matrix: Tensor, inside: Tensor, stages: Stages
-) -> float | None:
+def _interpolation_error(around: Around, place: Grid, matrix: Tensor, inside: Tensor, stages: Stages) -> float | None:
     """See `Neighbourhood`; None if no cell is free of the object."""
     nx, ny, nz = place.shape
     number = torch.arange(nx * ny * nz).view(nx, ny, nz)
     corners = torch.stack(
-        [number[i : nx - 1 + i, j : ny - 1 + j, k : nz - 1 + k].flatten() for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        [
+            number[i : nx - 1 + i, j : ny - 1 + j, k : nz - 1 + k].flatten()
+            for i in (0, 1)
+            for j in (0, 1)
+            for k in (0, 1)
+        ]
     )
     whole = torch.nonzero(~inside[corners].any(0) & ~_crossed(around.job.tracer, place))[:, 0]
     order = torch.randperm(len(whole), generator=torch.Generator().manual_seed(around.job.seed))
@@ -318,4 +320,3 @@ def _error_and_signal(around: Around, matrix: Tensor, inside: Tensor, stages: St
     around.once.forget()
     signal = float(torch.linalg.vector_norm(matrix, dtype=torch.float64)) / math.sqrt(matrix.numel())
     return math.sqrt(math.fsum(sums) / sum(task.count for task in tasks)), signal
-

@@ -12,7 +12,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.brdf import Brdf, Factors, exit_kernel
-from torchprt.sh import Projection, basis, exit_count, gauss_legendre, gauss_legendre_hemisphere, hemisphere_basis, rotate
+from torchprt.sh import (
+    Projection,
+    basis,
+    exit_count,
+    gauss_legendre,
+    gauss_legendre_hemisphere,
+    hemisphere_basis,
+    rotate,
+)
 
 Frame = Literal["exit", "factored", "incident", "visibility"]
 

@@ -34,9 +34,8 @@ def glider(resolution: int = 48) -> Scene:
     if resolution < 8:
         raise InputError(f"resolution is {resolution}: give at least 8")
     sides = max(resolution // 4, 6)
-    bar = [np.array([-0.3, -0.42, 0.12]), np.array([0.3, -0.42, 0.12])]
-    top = np.array([0.0, 0.02, 0.06])
-    tubes = [_tube(*bar, sides), _tube(bar[0], top, sides), _tube(bar[1], top, sides)]
+    left, right, top = (np.array(corner) for corner in ((-0.3, -0.42, 0.12), (0.3, -0.42, 0.12), (0.0, 0.02, 0.06)))
+    tubes = [_tube(left, right, sides), _tube(left, top, sides), _tube(right, top, sides)]
     tubes.append(_tube(np.array([0.0, 0.03, -0.42]), np.array([0.0, 0.03, 0.6]), sides))
     body = _ellipsoid(np.array([0.0, -0.3, -0.12]), np.array([0.085, 0.075, LENGTH]), resolution)
     head = _ellipsoid(np.array([0.0, -0.27, 0.27]), np.array([0.07, 0.07, 0.07]), resolution // 2)
