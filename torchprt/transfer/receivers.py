@@ -210,7 +210,6 @@ class Vertices(Receivers):
         if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
             raise InputError("original of the transfer does not name every vertex once: compress it again")
 
-
     def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
         if self.sample_points is None or self.blend is None:
             return super().sampled()
