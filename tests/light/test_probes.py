@@ -1,5 +1,6 @@
 """Do sample points spread over the object, and do their weights blend as they say?"""
 
+import itertools
 import math
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 from trimesh.creation import icosphere
 
 from torchprt.errors import InputError
-from torchprt.light import blend_weights, probes, sample_points, with_sample_points
+from torchprt.light import SphereEmitter, blend_weights, incident, probes, sample_points, with_sample_points
 from torchprt.sh import fibonacci
 from torchprt.transfer import load, save
 
@@ -181,3 +182,23 @@ def test_a_blend_that_is_none_is_refused(make_transfer, change, fault):
     receivers = with_sample_points(make_transfer(), 5).receivers
     with pytest.raises(InputError, match=fault):
         receivers.replace(**change).check()
+
+
+def test_more_points_err_less_and_gradients_less_again():
+    """Under a lamp one radius from a sphere, against the light that is there, in the norm of its coefficients."""
+    positions, faces = sphere(3)
+    lamp = [SphereEmitter(torch.tensor([1.0, 1.5, -1.4], dtype=F64), 0.25, 1.0)]
+    wanted = incident(lamp, positions, 4)
+    errors = []
+    for count in (1, 4, 16, 64):
+        points = sample_points(positions, faces, count)
+        blend = blend_weights(points, positions, gradients=True)
+        lights = incident(lamp, points, 4, gradients=True)
+        plain = torch.einsum("vs,snc->vnc", blend[:, ::4], lights[::4])
+        full = torch.einsum("vk,knc->vnc", blend, lights)
+        errors.append([float((found - wanted).norm() / wanted.norm()) for found in (plain, full)])
+    for fewer, more in itertools.pairwise(errors):
+        assert more[0] < fewer[0]
+        assert more[1] < fewer[1]
+    assert all(full < plain for plain, full in errors)
+    assert errors[-1][1] <= 0.02
