@@ -1,16 +1,19 @@
 """Do sample points spread over the object, and do their weights blend as they say?"""
 
+import dataclasses
 import itertools
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
 from trimesh.creation import icosphere
 
+from torchprt.compression import compress, reorder
 from torchprt.errors import InputError
 from torchprt.light import SphereEmitter, blend_weights, incident, probes, sample_points, with_sample_points
 from torchprt.sh import fibonacci
-from torchprt.transfer import load, save
+from torchprt.transfer import Texels, load, save
 
 F64 = torch.float64
 
@@ -126,13 +129,24 @@ def test_what_varies_linearly_is_exact_in_the_hull():
     torch.testing.assert_close(blend_weights(points, inside()) @ points, inside(), rtol=0, atol=0.05)
 
 
-def test_with_derivatives_what_varies_linearly_is_exact_everywhere():
+def test_with_derivatives_what_varies_linearly_is_exact_on_the_surface():
     points = sample_points(*sphere(), 16)
-    positions = torch.cat([sphere()[0], 4 * sphere(1)[0], inside()])
+    positions = torch.cat([sphere()[0], 1.2 * sphere(1)[0], inside()])
     blend = blend_weights(points, positions, gradients=True)
     slope = torch.tensor([0.3, -1.0, 2.0], dtype=F64)
     light = torch.cat([1 + points @ slope[:, None], slope.expand(16, 3)], 1)
     torch.testing.assert_close(blend @ light.flatten(), 1 + positions @ slope, rtol=0, atol=1e-12)
+
+
+def test_far_out_a_light_goes_on_by_no_more_than_a_spacing():
+    points = sample_points(*sphere(), 16)
+    slope = torch.tensor([0.3, -1.0, 2.0], dtype=F64)
+    light = torch.cat([1 + points @ slope[:, None], slope.expand(16, 3)], 1)
+    out = torch.linspace(1, 40, 200, dtype=F64)[:, None] * torch.tensor([[0.6, 0.0, 0.8]], dtype=F64)
+    along = blend_weights(points, out, gradients=True) @ light.flatten()
+    reached = float((points @ slope).max()) + 1 + float(slope.norm()) * probes.spacing_of(points)
+    assert bool((along <= reached).all())
+    assert float(along[-1]) >= float(along[0])
 
 
 def test_derivatives_make_what_is_curved_ten_times_closer():
@@ -166,6 +180,25 @@ def test_are_stored_with_the_transfer(make_transfer, tmp_path):
     taken = transfer.receivers.take(torch.tensor([1, 7]))
     assert torch.equal(taken.blend, transfer.receivers.blend[[1, 7]])
     assert len(taken.sample_points) == 5
+
+
+def test_blends_go_where_receivers_go(make_transfer):
+    transfer = with_sample_points(make_transfer(), 5)
+    ordered = reorder(compress(transfer, clusters=3, components=2))
+    assert torch.equal(ordered.receivers.blend, transfer.receivers.blend[ordered.receivers.original])
+    ground = {"name": "ground", "role": "ground", "side": "front", "rows": [20, 25]}
+    held = {"name": "model", "role": "receiver", "side": "front", "rows": [0, 20]}
+    standing = dataclasses.replace(transfer, receivers=transfer.receivers.replace(objects=[held, ground]))
+    assert torch.equal(standing.without_ground().receivers.blend, transfer.receivers.blend[:20])
+    # The points are about the model, and what is on the ground takes its light from them too.
+    again = with_sample_points(standing, 5).receivers
+    assert again.blend.shape == (25, 5)
+    assert torch.equal(again.sample_points, with_sample_points(standing.without_ground(), 5).receivers.sample_points)
+
+
+def test_a_patch_has_no_place(untyped):
+    with pytest.raises(InputError, match="which lies nowhere yet"):
+        with_sample_points(SimpleNamespace(receivers=Texels(rows=2, columns=2)), 5)
 
 
 @pytest.mark.parametrize(

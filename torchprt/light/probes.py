@@ -68,8 +68,9 @@ def blend_weights(
     there is one out of the hull too. One point has the weight 1.
 
     With `gradients` K = 4 S: behind the weight of a point those of the derivatives of its light along x, y and z (per
-    unit of length, as `incident` and `capture` give them). Light that varies linearly is then exact everywhere, and
-    quadratically in the hull: half a step along the gradient of each point cancels what their blend is off.
+    unit of length, as `incident` and `capture` give them). Light that varies linearly is then exact to half a spacing
+    of the points beyond their hull, and quadratically in it: half a step along the gradient of each point cancels what
+    their blend is off. Farther out, as on a ground, it goes on by at most a spacing: nothing is extrapolated wildly.
 
     Moved, turned or scaled together, points and positions give the same weights (those of derivatives grow with the
     unit of length). float64 inside, the result has the dtype of `positions`.
@@ -187,7 +188,11 @@ def _blended(points: Tensor, positions: Float64[Tensor, "v 3"], gradients: bool,
     if not gradients:
         return weights
     left = (weights[..., None] * steps).sum(1, keepdim=True)
-    slopes = weights[..., None] * (steps + left) * (unit / 2)
+    # Far out a light goes on no longer: half a spacing in full, one at the most, without a kink.
+    length = torch.linalg.vector_norm(left, dim=-1, keepdim=True)
+    far = length.clamp(min=0.5)
+    reach = left * torch.where(length > 0.5, (0.5 + 0.5 * (2 * far - 1).tanh()) / far, 1.0)
+    slopes = weights[..., None] * ((steps - left) / 2 + reach) * unit
     return torch.cat([weights[..., None], slopes], -1).flatten(1)
 
 
