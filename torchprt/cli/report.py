@@ -104,8 +104,8 @@ def details(transfer: Transfer) -> list[str]:
         lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
     if "sample_points" in transfer.receivers.tensors():
         points, blend = transfer.receivers.sampled()
-        told = " with gradients" if blend.shape[1] > len(points) else ""
-        lines.append(f"{count(len(points), 'sample point')}{told} for lamps nearby")
+        more = " with gradients" if blend.shape[1] > len(points) else ""
+        lines.append(f"{count(len(points), 'sample point')}{more} for lamps nearby")
     if transfer.cut:
         lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)
