@@ -40,7 +40,7 @@ class Emitter(abc.ABC):
 
     @abc.abstractmethod
     def clearance(self, points: Float[Tensor, "S 3"]) -> Float[Tensor, "S"]:
-        """How far points are from the lamp, in units of its size, without gradients; not above zero inside it."""
+        """How far points are from the lamp at least, in units of its size, without gradients; 0 or less inside it."""
 
     def check_clear(self, points: Float[Tensor, "S 3"], what: str = "sample point") -> None:
         """InputError if one of the points, each a `what`, is in the lamp or touches it."""
@@ -141,18 +141,22 @@ class MeshEmitter(Emitter):
         return flat.reshape(*points.shape[:-1], *flat.shape[1:])
 
     def clearance(self, points: Float[Tensor, "S 3"]) -> Float[Tensor, "S"]:
-        corners = self.corners().detach().double()
-        away = closest(points.double(), corners).amin(1) / math.sqrt(self.area())
+        corners, places, size = self.corners().detach().double(), points.double(), math.sqrt(self.area())
+        low, high = corners.flatten(0, 1).aminmax(dim=0)
+        # Of points off its bounds how far they are from them; most of a model is.
+        away = torch.maximum(low - places, places - high).clamp(min=0).norm(dim=-1) / size
+        near = (away <= TOUCHES).nonzero()[:, 0]
+        exact = closest(places[near], corners).amin(1) / size
         # Seen from inside, a closed surface fills the sphere.
-        inside = solid_angles(points.double(), corners).sum(1).abs() > 2 * math.pi
-        return torch.where(inside & self._is_closed(), -away, away)
+        inside = solid_angles(places[near], corners).sum(1).abs() > 2 * math.pi
+        return away.index_copy(0, near, torch.where(inside & self._is_closed(), -exact, exact))
 
     def _is_closed(self) -> bool:
+        """Whether every edge is there in both directions, wherever vertices are doubled."""
         _, same = self.positions.detach().unique(dim=0, return_inverse=True)
-        faces = same[self.faces]
-        edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        forth, back = ({tuple(edge) for edge in each.tolist()} for each in (edges, edges.flip(1)))
-        return forth == back
+        begin, end = same[self.faces].flatten(), same[self.faces.roll(-1, 1)].flatten()
+        forth, back = begin * len(self.positions) + end, end * len(self.positions) + begin
+        return torch.equal(forth.unique(), back.unique())
 
 
 @dataclass
