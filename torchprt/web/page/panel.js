@@ -188,14 +188,10 @@ function flying(viewer) {
     place.setAttribute("aria-valuetext", percent);
   };
   box.addEventListener("change", () => viewer.letFly(box.checked));
-  place.addEventListener("input", () => {
-    viewer.flyTo(Number(place.value));
-    say();
-  });
+  place.addEventListener("input", () => viewer.flyTo(Number(place.value)));
   const before = viewer.ondraw;
   viewer.ondraw = () => {
     before();
-    if (!viewer.flight.flying) return;
     place.value = viewer.flight.moment;
     say();
   };
