@@ -66,6 +66,33 @@ def sky_and_sun_cube(size, sky, sun, direction):
     return np.asarray(sky) + inside[..., None] * np.asarray(sun) / solid_angle
 
 
+def lamp_at(order, center, radius, radiance, points):
+    """SH lights [S, order^2, 3] of a sphere that shines, seen from points [S, 3]: a disc, in three bands."""
+    steps = np.asarray(center) - points
+    distance = np.linalg.norm(steps, axis=-1, keepdims=True)
+    squared = (radius / distance) ** 2
+    cosine = np.sqrt(1 - squared)
+    bands = np.pi * np.concatenate([2 * squared / (1 + cosine), squared, cosine * squared], -1)
+    light = np.zeros((len(points), max(order, 3) ** 2, 3))
+    weights = np.repeat(bands, [1, 3, 5], axis=-1) * sh_basis(steps / distance)
+    light[:, :9] = weights[..., None] * np.asarray(radiance)
+    return light[:, : order * order]
+
+
+def lights_at_points(about, far, lamp):
+    """The lights of a file with sample points, [K, order^2, 3]: one from far away, and a lamp nearby or None."""
+    points = np.asarray(about["sample_points"])
+    near = (lambda places: lamp_at(about["order"], lamp[:3], lamp[3], lamp[4:], places)) if lamp else None
+    rows = [np.broadcast_to(far, (len(points), *far.shape)) + (near(points) if near else 0)]
+    if about["gradients"]:
+        # Of a point its light and how that changes along x, y and z.
+        step = 1e-4 * np.ptp(points, axis=0).max()
+        for axis in np.eye(3) * step:
+            slope = (near(points + axis) - near(points - axis)) / (2 * step) if near else np.zeros_like(rows[0])
+            rows.append(slope)
+    return np.stack(rows, 1).reshape(-1, *far.shape)
+
+
 def yaw_matrix(degrees):
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
@@ -168,6 +195,13 @@ def main():
         help="for glossy surfaces: the eye, or the direction toward it if the model takes a view",
     )
     parser.add_argument("--yaw", type=float, default=0.0, help="degrees by which the environment is turned about +y")
+    parser.add_argument(
+        "--lamp",
+        type=float,
+        nargs=7,
+        metavar=("X", "Y", "Z", "RADIUS", "R", "G", "B"),
+        help="for a model with sample points: a sphere nearby, beside sky and sun",
+    )
     parser.add_argument("--exposure", type=float, default=0.0, help="stops")
     parser.add_argument("--repeat", type=int, default=20, help="how often to shade for the timing")
     arguments = parser.parse_args()
@@ -188,6 +222,11 @@ def main():
         values["light"] = sky_and_sun(about["order"], arguments.sky, arguments.sun, direction)
     elif "environment" in shapes:
         values["environment"] = sky_and_sun_cube(about["size"], arguments.sky, arguments.sun, direction)
+    local = "sample_points" in about and "light" in shapes
+    if arguments.lamp and not local:
+        sys.exit("this model has one light for all of it: leave out --lamp, or export one with --local")
+    if local and not arguments.input:
+        values["light"] = lights_at_points(about, values["light"], arguments.lamp)
     if arguments.input and not {"light", "environment"} & set(shapes):
         sys.exit("the light of this model is fixed: leave out --input")
     if arguments.eye and not {"eye", "view"} & set(shapes):

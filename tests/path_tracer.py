@@ -95,3 +95,37 @@ def vectors(kind, rows):
     """An array of Mitsuba's points or vectors from rows x, y, z."""
     columns = np.ascontiguousarray(np.asarray(rows, np.float32).T)
     return kind(*columns)
+
+
+def under_lamp(mi, geometry, lamp, albedo, rows, samples=256, seed=0):
+    """Exit radiance `[P, 3]` of the vertices `rows` of a `Geometry` under a `SphereEmitter` alone, by paths of one
+    reflection: rays that look at them along their normals, from close by."""
+    world = scene(mi, geometry, torch.zeros(1, 3, dtype=torch.float64), _white(albedo))
+    shape = world.shapes()[0]
+    shining = {
+        "type": "sphere",
+        "center": lamp.center.tolist(),
+        "radius": float(lamp.radius),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": lamp.radiance.tolist()}},
+    }
+    world = mi.load_dict({"type": "scene", "mesh": shape, "lamp": shining})
+    normals = geometry.receiver_normals[rows].float().numpy()
+    # A little into one of the faces: a ray at a vertex may slip through.
+    face = torch.zeros(len(geometry.positions), dtype=torch.long)
+    face[geometry.faces.long().flatten()] = torch.arange(len(geometry.faces)).repeat_interleave(3)
+    middles = geometry.positions[geometry.faces.long()[face[rows]]].mean(1)
+    points = torch.lerp(geometry.positions[rows], middles, 0.02).float().numpy()
+    size = float((geometry.positions.amax(0) - geometry.positions.amin(0)).max())
+    integrator = mi.load_dict({"type": "path", "max_depth": 2, "rr_depth": 64})
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, len(rows) * samples)
+    origins = np.repeat(points + 2e-3 * size * normals, samples, axis=0)
+    ways = np.repeat(-normals, samples, axis=0)
+    seen, _, _ = integrator.sample(
+        world, sampler, mi.RayDifferential3f(vectors(mi.Point3f, origins), vectors(mi.Vector3f, ways))
+    )
+    return np.array(seen).reshape(3, len(rows), samples).mean(2).T
+
+
+def _white(albedo):
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [albedo] * 3}}

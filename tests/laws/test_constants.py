@@ -51,6 +51,7 @@ KEYS = {
     "torchprt.sh.basis.band_of": (3,),
     "torchprt.light.arguments.clamped_cosine": (3, F32),
     "torchprt.light.sky._about_z": (3, F32),
+    "torchprt.light.triangles._rule": (1, F32),
     "torchprt.light.environment._neighbours": (3,),
     "torchprt.light.sun._tables": (),
     "torchprt.light.windowed._narrowest_lobe": (3,),

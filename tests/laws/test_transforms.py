@@ -37,6 +37,7 @@ def lit(*shape):
 ONE = lit()
 KERNEL = sh.clamped_cosine(ORDER)
 DOWN = torch.nn.functional.normalize(values(20, 3), dim=-1)
+CENTRE = torch.tensor([4.0, 0.5, -4.0], dtype=torch.float64)
 # What a function is called with, with a batch of two in front, and the call.
 CALLS = {
     "sh.basis": (above(2, 4), lambda d: sh.basis(d, ORDER)),
@@ -75,6 +76,7 @@ CALLS = {
     "light.disc": (values(2, 3), lambda d: light.disc(d, 0.2, 1.0, ORDER, normalise=True)),
     "light.dominant": (lit(2), lambda l: torch.cat(light.dominant(l))),
     "light.hemisphere": (values(2, 3), lambda d: light.hemisphere(d, 1.0, 0.5, ORDER)),
+    "light.incident": (values(2, 4, 3), lambda p: light.incident([light.SphereEmitter(CENTRE, 0.5, 2.0)], p, ORDER)),
     "light.latlong_to_cube": (positive(2, 8, 16, 3), lambda i: light.latlong_to_cube(i, 4)),
     "light.overcast_sky": (values(2, 3), lambda d: light.overcast_sky(2.0, d, ORDER)),
     "light.project": (positive(2, 4, 8, 3), lambda i: light.project(i, ORDER)),
@@ -91,9 +93,11 @@ HOST = {
     "sh.hemisphere_projection",
     "sh.lanczos", "sh.latlong_basis", "sh.latlong_directions", "sh.latlong_weights", "sh.lebedev", "sh.order_of",
     "sh.project_function",
-    "light.BUILT_IN", "light.DamagedImageWarning", "light.ImageReport", "light.WINDOWS", "light.built_in",
+    "light.BUILT_IN", "light.DamagedImageWarning", "light.Emitter", "light.ImageReport", "light.MeshEmitter",
+    "light.RectangleEmitter", "light.SphereEmitter", "light.WINDOWS", "light.blend_weights", "light.built_in",
+    "light.capture", "light.local_light",
     "light.inspect", "light.read", "light.read_coefficients", "light.read_with_report", "light.studio",
-    "light.write_coefficients",
+    "light.sample_points", "light.with_sample_points", "light.write_coefficients",
 }  # fmt: skip
 
 
@@ -144,6 +148,6 @@ def test_values_are_checked_where_nothing_is_traced(bad, call, fault):
 def test_all_stays_on_the_device_of_what_is_given(name, monkeypatch):
     given, call = CALLS[name]
     # What the calls here take beside what they are given.
-    for other in ("DOWN", "KERNEL", "ONE"):
+    for other in ("CENTRE", "DOWN", "KERNEL", "ONE"):
         monkeypatch.setitem(globals(), other, moved(globals()[other]))
     assert not [fault for fault in faults_of(call, given) if "test_transforms" not in fault]

@@ -13,9 +13,10 @@ import torch
 import trimesh
 from transfers import random_glossy
 
+from torchprt.light import SphereEmitter, local_light, with_sample_points
 from torchprt.onnx import export
 from torchprt.sh import basis, cube_directions, yaw_pitch_roll
-from torchprt.shade import shader, srgb
+from torchprt.shade import local_light_shader, shader, srgb
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "export" / "shade_numpy.py"
@@ -32,6 +33,9 @@ def scene(make_transfer, tmp_path_factory):
     glossy = random_glossy(order=3, output_order=2, materials=["phong:8"])
     export(glossy, folder / "glossy.onnx", check=False)
     export(glossy, folder / "walk.onnx", fix_light=torch.ones(9, 3), eye="direction", check=False)
+    export(
+        with_sample_points(make_transfer(order=3), 5, gradients=True), folder / "local.onnx", local=True, check=False
+    )
     config.update("jaxtyping_disable", False)
     mesh = trimesh.Trimesh(transfer.positions.numpy(), transfer.faces.numpy(), process=False)
     mesh.visual.vertex_colors = np.full((25, 4), 7, np.uint8)
@@ -54,6 +58,19 @@ def run(scene):
         return result.stdout + result.stderr
 
     return run
+
+
+def test_a_lamp_nearby_is_as_in_torch(run, make_transfer):
+    transfer = with_sample_points(make_transfer(order=3), 5, gradients=True)
+    lamp = SphereEmitter((0.3, 1.5, 0.4), 0.3, (4.0, 3.0, 2.0))
+    wanted = local_light_shader(shader(transfer), transfer)(local_light(transfer, [lamp])).mean(0)
+    told = run("local.onnx", "--sky", 0, 0, 0, "--sun", 0, 0, 0, "--lamp", 0.3, 1.5, 0.4, 0.3, 4, 3, 2, "--repeat", 1)
+    found = [float(word) for word in re.search(r"mean radiance (.*)", told).group(1).split()]
+    assert np.allclose(found, wanted.numpy(), rtol=1e-4)
+
+
+def test_a_lamp_for_a_model_of_one_light_is_refused(run):
+    assert "leave out --lamp" in run("scene.onnx", "--lamp", 0, 2, 0, 1, 1, 1, 1, code=1)
 
 
 def test_torch_is_really_out_of_reach(scene):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from torchprt.files import check_writable
 if TYPE_CHECKING:
     from torchprt.measure import Recipe
     from torchprt.scene import Scene
+    from torchprt.transfer import Transfer
 
 
 def bake(
@@ -41,6 +43,8 @@ def bake(
     raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: bake_options.Seed = None,
     threads: bake_options.CPUs = None,
+    sample_points: bake_options.SamplePoints = None,
+    sample_gradients: bake_options.SampleGradients = False,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
     frame: Annotated[
         str, typer.Option(help="Gloss: exit (baked in), incident (chosen later) or visibility (the least memory).")
@@ -64,6 +68,7 @@ def bake(
     count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
+    located = bake_options.located(sample_points, sample_gradients, seed or 0)
     recipe, predicted = None, dict[str, float]()
     if plan is not None:
         given = {"order": order, "rays": rays, "bounces": bounces, "unshadowed": unshadowed, "half": half}
@@ -88,12 +93,13 @@ def bake(
     say(scene)
     if recipe is not None:
         say(f"{plan}: {recipe.name}")
-        _bake_planned(scene, output, recipe, predicted, seed=seed or 0, threads=threads, raw=raw)
+        _bake_planned(scene, output, recipe, predicted, located, seed=seed or 0, threads=threads, raw=raw)
         return
     transfer = bake_options.baked(
         scene,
         output,
         half=half,
+        store=located,
         order=order or bake_options.ORDER,
         rays=rays or bake_options.RAYS,
         bounces=count,
@@ -111,14 +117,25 @@ def bake(
         say(line)
 
 
-def _bake_planned(scene: Scene, output: Path, recipe: Recipe, predicted: dict[str, float], **arguments: Any) -> None:
+def _bake_planned(
+    scene: Scene,
+    output: Path,
+    recipe: Recipe,
+    predicted: dict[str, float],
+    located: Callable[[Transfer], Transfer],
+    **arguments: Any,
+) -> None:
     """What a recipe says, and what was predicted of it beside what came of it."""
     from torchprt.cli.plan import foretold
     from torchprt.measure import store_recipe
 
     start = time.perf_counter()
     transfer = bake_options.baked(
-        scene, output, store=lambda transfer: store_recipe(transfer, recipe), **recipe.part("bake"), **arguments
+        scene,
+        output,
+        store=lambda transfer: located(store_recipe(transfer, recipe)),
+        **recipe.part("bake"),
+        **arguments,
     )
     for line in details(transfer)[1:]:
         say(line)

@@ -124,6 +124,24 @@ Keep = Annotated[
     Path | None,
     typer.Option("--bake", rich_help_panel=BAKE, help="Keep what is baked on the way in this .safetensors."),
 ]
+SamplePoints = Annotated[
+    int | None,
+    typer.Option(
+        "--sample-points",
+        rich_help_panel=BAKE,
+        min=1,
+        max=4096,
+        help="For lamps nearby: at how many points about the model their light is taken.",
+    ),
+]
+SampleGradients = Annotated[
+    bool,
+    typer.Option(
+        "--sample-gradients",
+        rich_help_panel=BAKE,
+        help="Also how it changes there: four lights a point, and a third of the error.",
+    ),
+]
 WithGround = Annotated[
     bool, typer.Option("--with-ground", help="The ground of the bake is part of the model: framed, whole, written.")
 ]
@@ -215,6 +233,21 @@ def _said(text: str) -> dict[str, Any]:
     except ValueError:
         return {"material": options.surface(text, None)}
     return {"albedo": numbers[0] if len(numbers) == 1 else numbers}
+
+
+def located(points: int | None, gradients: bool, seed: int) -> Callable[[Transfer], Transfer]:
+    """What puts sample points about a bake, if they are asked for."""
+    if points is None:
+        if gradients:
+            raise InputError("--sample-gradients is given, but no points at which they are taken: give --sample-points")
+        return lambda transfer: transfer
+
+    def made(transfer: Transfer) -> Transfer:
+        from torchprt.light import with_sample_points
+
+        return with_sample_points(transfer, points, gradients=gradients, seed=seed)
+
+    return made
 
 
 def baked(

@@ -42,6 +42,9 @@ def export(
     pose: Annotated[
         str | None, typer.Option(help="Zonal lobes: the pose is frames or positions.", show_default="frames")
     ] = None,
+    local: Annotated[
+        bool, typer.Option("--local", help="It takes a light for each sample point of the bake and blends them.")
+    ] = False,
     material: options.OpenGloss = None,
     web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
     light: Annotated[
@@ -78,7 +81,7 @@ def export(
 
     ends = output.suffix.lower()
     graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
-    graph["--pose"] = pose
+    graph |= {"--pose": pose, "--local": local or None}
     mesh = {"--order": order, "--source": asset}
     page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
     page |= {"--cast": cast, "--model": model, "--path": path}
@@ -127,7 +130,7 @@ def export(
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)
     texels = 32 if size is None else size
     report = prt.onnx.export(
-        loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
+        loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken, local=local
     )
     _told(report)
 

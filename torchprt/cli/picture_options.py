@@ -15,6 +15,7 @@ from torchprt.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from torchprt.cli.emitters import LampShader
     from torchprt.preview import Background, Camera, Environment, Orbit, Studio
     from torchprt.shade import Shader
     from torchprt.shade.display import ToneMap
@@ -26,6 +27,7 @@ MOST_SAMPLES = 256
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 Light = Annotated[str, typer.Option(help=LIGHT_HELP)]
+LightOrLamps = Annotated[str | None, typer.Option(help=LIGHT_HELP, show_default=f"{STUDIO}; none with --emitter")]
 Size = Annotated[str, typer.Option(help="Of each picture, in pixels.")]
 View = Annotated[str, typer.Option(help="From the model toward the camera: X,Y,Z.")]
 Target = Annotated[
@@ -75,8 +77,18 @@ class PictureOptions:
     tone: ToneMap
     repair: bool
 
-    def environment(self, order: int) -> Environment:
-        """The light, and what is seen behind the model."""
+    def environment(self, order: int, dark: bool = False) -> Environment:
+        """The light, and what is seen behind the model; `dark`: that there is none."""
+        if dark:
+            import torch
+
+            from torchprt.preview import Environment
+
+            if self.background == "environment":
+                raise InputError(
+                    "--background is given, but there are lamps alone: give an environment image as --light"
+                )
+            return Environment("lamps", torch.zeros(order**2, 3))
         found = environment_of(self.light, order, self.repair, self.window)
         if self.background == "environment" and found.image is None:
             raise InputError(f"--background is given, but {self.light} is no image: give one as --light")
@@ -94,21 +106,30 @@ class PictureOptions:
         return preview.Orbit.around(preview.subject(transfer.receivers), self.view, sides=sides, **self._held())
 
     def studio(
-        self, transfer: Transfer, shader: Shader, environment: Environment, colours: Tensor | None = None
+        self,
+        transfer: Transfer,
+        shader: Shader,
+        environment: Environment,
+        colours: Tensor | None = None,
+        near: LampShader | None = None,
     ) -> Studio:
-        """What makes the pictures; of `colours` if they are given."""
-        from torchprt.preview import Studio
+        """What makes the pictures; of `colours` if they are given, under lamps `near` the model if there are any."""
+        from torchprt.preview import Studio, automatic_exposure
 
+        exposure = self.exposure
+        if exposure is None and near is not None:
+            exposure = automatic_exposure(near.brightest(environment.light))
         return Studio(
             transfer,
             shader,
             environment,
             size=self.size,
-            exposure=self.exposure,
+            exposure=exposure,
             tone=self.tone,
             background=self.background,
             samples=self.samples,
             colours=colours,
+            relight=near,
         )
 
     def _held(self) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import typer
 from torchprt.cli import bake_options, options
 from torchprt.cli import picture_options as asked
 from torchprt.cli.bake_on_the_way import Source
+from torchprt.cli.emitters import Emitters, LampShader, emitters, told, with_points
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -31,7 +32,8 @@ def render(
             "-o", "--output", help=".png or .jpg (a turntable as a sheet, or frames-####.png), .webp, .gif or .mp4."
         ),
     ],
-    light: asked.Light = asked.LIGHT,
+    light: asked.LightOrLamps = None,
+    emitter: Emitters = None,
     size: asked.Size = asked.SIZE,
     turntable: Annotated[int, typer.Option(min=0, max=MOST, help="Pictures in which the camera goes around.")] = 0,
     light_turntable: Annotated[int, typer.Option(min=0, max=MOST, help="Pictures in which the light goes around.")] = 0,
@@ -81,7 +83,7 @@ def render(
     if ends == ".mp4":
         preview.check_video()
     picture = asked.picture_options(
-        light=light,
+        light=light or asked.LIGHT,
         size=size,
         view=view,
         target=target,
@@ -96,6 +98,7 @@ def render(
         tone=tone,
         repair=repair,
     )
+    lamps = emitters(emitter)
     options.choice(show, "--show", SHOWN)
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
@@ -110,13 +113,15 @@ def render(
         "ground_albedo": ground_albedo,
     }
     opened = Source(source, bake, given)
-    environment = picture.environment(opened.order)
-    loaded = opened.transfer()
+    environment = picture.environment(opened.order, bool(lamps) and light is None)
+    loaded = with_points(opened.transfer(), lamps)
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
     colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
+    shader = prt.shader(loaded, brdf=chosen)
+    near = LampShader(shader, loaded, lamps) if lamps else None
+    studio = picture.studio(loaded, shader, environment, colours, near)
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:
@@ -134,4 +139,5 @@ def render(
             say(line)
         say(f"{made}, sight of the vertices")
         return
-    say(f"{made}, exposure {studio.exposure:+.2f} stops, under {environment.name}")
+    under = told(lamps, None if light is None else environment.name) if lamps else environment.name
+    say(f"{made}, exposure {studio.exposure:+.2f} stops, under {under}")

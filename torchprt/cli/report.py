@@ -102,6 +102,10 @@ def details(transfer: Transfer) -> list[str]:
     if "mirror_faces" in transfer.receivers.tensors():
         faces = transfer.receivers.tensors()["mirror_faces"]
         lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
+    if "sample_points" in transfer.receivers.tensors():
+        points, blend = transfer.receivers.sampled()
+        more = " with gradients" if blend.shape[1] > len(points) else ""
+        lines.append(f"{count(len(points), 'sample point')}{more} for lamps nearby")
     if transfer.cut:
         lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)

@@ -9,6 +9,7 @@ import typer
 
 from torchprt.cli import bake_options, options
 from torchprt.cli import picture_options as asked
+from torchprt.cli.emitters import Emitters, LampShader, emitters, told, with_points
 from torchprt.cli.pose import in_pose
 from torchprt.cli.report import say, triple
 from torchprt.errors import InputError
@@ -28,7 +29,8 @@ def shade(
     output: Annotated[
         Path, typer.Option("-o", "--output", help=".npy of radiance, .ply or .glb with colours, .png .jpg or .webp.")
     ],
-    light: asked.Light = asked.LIGHT,
+    light: asked.LightOrLamps = None,
+    emitter: Emitters = None,
     rotate: asked.Rotate = asked.ROTATE,
     window: asked.Window = None,
     eye: Annotated[
@@ -64,7 +66,7 @@ def shade(
     from torchprt import preview, sh
 
     picture = asked.picture_options(
-        light=light,
+        light=light or asked.LIGHT,
         size=size,
         view=view,
         target=target,
@@ -79,20 +81,25 @@ def shade(
         tone=tone,
         repair=repair,
     )
+    lamps = emitters(emitter)
     seen = options.eye(eye, toward)
     loaded = prt.load_transfer(transfer)
     if with_ground:
         loaded = loaded.with_ground()
+    loaded = with_points(loaded, lamps)
     rest, moved = loaded, dict[str, torch.Tensor]()
     if pose:
         loaded, moved = in_pose(rest, pose)
     framed = picture.camera(loaded) if ends in PICTURES else None
     chosen, seen = options.gloss_of(loaded, material), _eye_of(loaded, seen, framed)
-    environment = picture.environment(loaded.order)
+    environment = picture.environment(loaded.order, bool(lamps) and light is None)
     shader = prt.shader(rest, brdf=chosen)
+    turned = sh.rotate(environment.light, picture.rotation)
+    near = LampShader(shader, rest, lamps) if lamps else None
     with torch.no_grad():
-        radiance = shader(sh.rotate(environment.light, picture.rotation), **seen, **moved).float()
-    studio = picture.studio(loaded, shader, environment)
+        found = shader(turned, **seen, **moved) if near is None else near.local(near.under(turned), **seen, **moved)
+        radiance = found.float()
+    studio = picture.studio(loaded, shader, environment, near=near)
     # Others were filled from their neighbours.
     dark = int(((loaded.normals == 0).all(-1) & (radiance == 0).all(-1)).sum())
     if dark:
@@ -116,7 +123,8 @@ def shade(
         write_array(output, radiance.contiguous().numpy())
     shown = "" if ends == ".npy" else f", exposure {studio.exposure:+.2f} stops"
     mean = f"{count(len(radiance), 'vertex')}, mean radiance {triple(radiance.mean(0))}"
-    say(f"{output}: {mean}{shown}, under {environment.name}")
+    under = told(lamps, None if light is None else environment.name) if lamps else environment.name
+    say(f"{output}: {mean}{shown}, under {under}")
 
 
 def _eye_of(transfer: Transfer, given: dict[str, Tensor], camera: Camera | None) -> dict[str, Tensor]:

@@ -60,6 +60,7 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
             faces=place[vertices.faces.long()][triangles].to(vertices.faces.dtype),
             original=points,
             sight=None if vertices.sight is None else vertices.sight[points],
+            blend=None if vertices.blend is None else vertices.blend[points],
         ),
         layers={name: moved(layer) for name, layer in transfer.layers.items()},
     )

@@ -21,14 +21,15 @@ class ParityError(RuntimeError):
     or of the runtime."""
 
 
-def promised(order: int, vertices: int, size: int | None = None) -> Shapes:
+def promised(order: int, vertices: int, size: int | None = None, lights: int | None = None) -> Shapes:
     """The shape of every input and output that a file can have, by name; "B" is the batch.
 
-    `size`: width of the cube maps.
+    `size`: width of the cube maps; `lights`: how many lights are blended, None if there is one and no blend.
     """
+    blended = () if lights is None else (lights,)
     return {
-        "light": ("B", order**2, 3),
-        "environment": ("B", 6, size or 0, size or 0, 3),
+        "light": ("B", *blended, order**2, 3),
+        "environment": ("B", *blended, 6, size or 0, size or 0, 3),
         "rotation": ("B", 3, 3),
         "eye": ("B", 3),
         "view": ("B", 3),

@@ -37,6 +37,15 @@ INPUTS = {
     "radiance": "Linear RGB exit radiance [B, vertices, 3], albedo applied, before exposure, tone map and sRGB.",
 }
 
+# Of graphs that blend lights.
+LOCAL = {
+    "light": (
+        "SH coefficients [B, lights, order^2, 3] of linear RGB incident radiance at the sample points, or with "
+        "gradients of every point that and its derivatives along x, y and z; basis and order as of one light."
+    ),
+    "environment": "Cube maps [B, lights, 6, H, W, 3] about the sample points, each as of one light.",
+}
+
 KEYS = (
     "torchprt", "format", "kind", "order", "conventions", "source", "size", "vertices", "channels", "albedo",
     "transport", "bounces", "rays", "seed", "error", "signal", "baked_with",

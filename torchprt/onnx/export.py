@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.onnx.contract import ParityError, Shapes, check_numbers, check_signature, promised, signature
-from torchprt.onnx.describe import INPUTS, metadata
+from torchprt.onnx.describe import INPUTS, LOCAL, metadata
 from torchprt.onnx.graph import Pose, Source
 from torchprt.onnx.operators import OPSET, check_operators, count_operators
 from torchprt.onnx.parity import ParityReport, compare
@@ -64,6 +64,7 @@ def export(
     exponent: float | int | Tensor | None = None,
     pose: Pose | None = None,
     orders: Mapping[str, Tensor] | None = None,
+    local: bool = False,
     check: bool = True,
 ) -> ExportReport:
     """Writes the shader of `transfer` to one `.onnx` file that any ONNX runtime, also one in a browser, can run.
@@ -88,6 +89,10 @@ def export(
     `orders`: at which order of the light each receiver of a layer stands, by the name of the layer, as
     `shade.fixed_orders` takes them: adaptive shading with regions that are fixed. Receivers of one order are a product.
 
+    `local`: the light of every receiver is the blend that is stored with the transfer (`light.with_sample_points`):
+    the input is `light [B, K, N, 3]`, or `environment [B, K, 6, size, size, 3]`, K a sample point or, with gradients,
+    four, and the metadata tell where the points are. It computes what `shade.LocalLightShader` does.
+
     ParityError, and no file is left, if names, dtypes or shapes in the file are not those above or, with `check`, ONNX
     Runtime and torch differ (see `compare`).
 
@@ -107,6 +112,7 @@ def export(
         exponent=exponent,
         pose=pose,
         orders=orders,
+        local=local,
     )
     transfer.check()
     with atomic(path) as temporary:
@@ -133,7 +139,8 @@ def _trace(planned: Plan) -> onnx.ModelProto:
         examples["rotation"] += torch.eye(3)
     batch = torch.export.Dim("B")
     free = {name: None if name in planned.single else {0: batch} for name in examples}
-    return traced(planned.graph().eval(), examples, free)
+    about = INPUTS if planned.lights is None else INPUTS | LOCAL
+    return traced(planned.graph().eval(), examples, free, about)
 
 
 def traced(
@@ -197,7 +204,7 @@ def _check_contract(what: str, planned: Plan, order: int, model: onnx.ModelProto
     inputs, outputs = signature(list(model.graph.input)), signature(list(model.graph.output))
     if list(inputs) != list(planned.inputs):
         raise ParityError(f"{what} takes {', '.join(inputs)}: {', '.join(planned.inputs)} were asked for")
-    check_signature(what, inputs, outputs, promised(order, planned.vertices, planned.about["size"]))
+    check_signature(what, inputs, outputs, promised(order, planned.vertices, planned.about["size"], planned.lights))
     check_numbers(what, model)
     first, second = ({name: shape for name, (_, shape) in values.items()} for values in (inputs, outputs))
     return first, second

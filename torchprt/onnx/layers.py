@@ -24,6 +24,8 @@ class LayerGraph(nn.Module):
 
     receivers: Tensor | None
     weight: Tensor | None
+    # Lights of one entry of the batch, which share its eye.
+    lights: int = 1
 
     def __init__(
         self, layer: LayerModule, vertices: int, eye: Eye, posed: bool = False, light: Tensor | None = None
@@ -67,7 +69,11 @@ class LayerGraph(nn.Module):
         if self.receivers is not None:
             frames = None if frames is None else frames.index_select(-1, self.receivers)
             points = None if points is None else points.index_select(-1, self.receivers)
-        return self._weighted(self.signal(light, self.values(eye, frames, points), frames))
+        values = self.values(eye, frames, points)
+        if values is not None and self.lights > 1:
+            assert isinstance(self.signal, SignalGraph)
+            return self._weighted(self.signal.shared(light, values, frames, self.lights))
+        return self._weighted(self.signal(light, values, frames))
 
     def seen(self, eye: Tensor) -> Tensor:
         """Radiance `[B, 3, V]` under the light that is inside."""
@@ -153,6 +159,12 @@ class TowardGraph(SignalGraph):
     def forward(self, light: Tensor, values: Tensor | None, frames: Tensor | None) -> Tensor:
         assert values is not None
         return self.weighed(light.mT @ self.vectors(values.permute(2, 0, 1)).permute(1, 2, 0))
+
+    def shared(self, light: Tensor, values: Tensor, frames: Tensor | None, lights: int) -> Tensor:
+        # The vectors are what costs: made once an eye, for all its lights.
+        vectors = self.vectors(values.permute(2, 0, 1)).permute(1, 2, 0)
+        rows = light.mT.reshape(-1, 3 * lights, light.shape[1]) @ vectors
+        return self.weighed(rows.reshape(-1, 3, rows.shape[2]))
 
     def vectors(self, values: Tensor) -> Tensor:
         """Transfer vectors `[G, B, N]` of exit values `[G, B, M]`: what `VisibilityLayer.vectors` computes.

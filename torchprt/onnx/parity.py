@@ -19,10 +19,10 @@ from torchprt.onnx.contract import check_signature, promised
 from torchprt.onnx.hard_cases import conditions, eyes_of_all, random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
-from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, Shader
+from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, LocalLightShader, Shader
 from torchprt.words import count
 
-Module: TypeAlias = Shader | EnvironmentShader | FixedLightShader
+Module: TypeAlias = Shader | EnvironmentShader | FixedLightShader | LocalLightShader
 
 # What files take beside the light, by what the shader needs.
 MORE: dict[frozenset[str], tuple[tuple[str, ...], ...]] = {
@@ -164,12 +164,19 @@ def _check_contract(path: Path, session: onnxruntime.InferenceSession, module: M
         for values in (session.get_inputs(), session.get_outputs())
     )
     shader, size = _shader(module), module.size if isinstance(module, EnvironmentShader) else None
-    check_signature(str(path), inputs, outputs, promised(shader.order, shader.vertices, size))
+    check_signature(str(path), inputs, outputs, promised(shader.order, shader.vertices, size, _lights(module)))
 
 
 def _shader(module: Module) -> Shader | FixedLightShader:
     """The shader of transfer inside."""
-    return module.shader if isinstance(module, EnvironmentShader) else module
+    return module if isinstance(module, Shader | FixedLightShader) else _shader(module.shader)
+
+
+def _lights(module: Module) -> int | None:
+    """How many lights each entry is blended of; None if it has one and no blend."""
+    if isinstance(module, LocalLightShader):
+        return module.lights
+    return _lights(module.shader) if isinstance(module, EnvironmentShader) else None
 
 
 def _eye_layers(module: Module | None) -> list[EyeLayerModule]:
@@ -206,15 +213,18 @@ def _cases(names: list[str], module: Module, shader: Shader | FixedLightShader, 
     count = len(rotations)
     scales = torch.tensor(SCALES).repeat_interleave(len(degrees))
     cases: dict[str, Tensor] = {}
+    lights = _lights(module)
+    blended = () if lights is None else (lights,)
     if isinstance(module, EnvironmentShader):
-        shape = (count, 6, module.size, module.size, 3)
+        shape = (count, *blended, 6, module.size, module.size, 3)
         environments = torch.exp(math.log(1000) * torch.rand(shape, generator=generator))
-        cases["environment"] = environments * scales.reshape(-1, 1, 1, 1, 1)
+        cases["environment"] = environments * scales.reshape(-1, *(1,) * (len(shape) - 1))
     elif "light" in names:
         order = shader.order
         decay = (1 + bands(order)) ** -2.0
-        lights = torch.randn(count, order * order, 3, generator=generator) * decay[:, None]
-        cases["light"] = lights * scales.reshape(-1, 1, 1)
+        shape = (count, *blended, order * order, 3)
+        lamps = torch.randn(shape, generator=generator) * decay[:, None]
+        cases["light"] = lamps * scales.reshape(-1, *(1,) * (len(shape) - 1))
     if "rotation" in names:
         cases["rotation"] = rotations
     for name in ("eye", "view"):

@@ -13,7 +13,7 @@ from torchprt.errors import InputError
 from torchprt.onnx.graph import FixedLightGraph, Pose, ShaderGraph, Source
 from torchprt.onnx.parity import Module
 from torchprt.onnx.toward_eye import Eye
-from torchprt.shade import EnvironmentShader, Shader, at_rest, fixed_orders, shader
+from torchprt.shade import EnvironmentShader, LocalLightShader, Shader, at_rest, fixed_orders, shader
 from torchprt.transfer import Transfer
 
 # protobuf cannot hold 2 GB; a megabyte is left for the nodes. Above it the weights would go to a second file.
@@ -27,7 +27,7 @@ class Plan:
     """`inputs`: the shape of one entry of the batch by name; `about`: what the metadata say of the arguments.
 
     `graph` and `reference` make the float32 module that is traced and the shader in float64. `single`: the inputs that
-    have no batch.
+    have no batch; `lights`: how many the light of an entry is blended of, None if it is one.
     """
 
     inputs: dict[str, tuple[int, ...]]
@@ -36,6 +36,7 @@ class Plan:
     graph: Callable[[], nn.Module]
     reference: Callable[[], Module]
     single: tuple[str, ...] = ()
+    lights: int | None = None
 
 
 def plan(
@@ -49,6 +50,7 @@ def plan(
     exponent: float | int | Tensor | None,
     pose: Pose | None = None,
     orders: Mapping[str, Tensor] | None = None,
+    local: bool = False,
 ) -> Plan:
     """The graph for the arguments of `export`. Raises InputError if they do not fit together, or it is too large."""
     needs = transfer.needs
@@ -74,7 +76,12 @@ def plan(
     def made(dtype: torch.dtype) -> Shader:
         return of(transfer, dtype)
 
-    incident = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
+    places, blend = transfer.receivers.sampled() if local else (None, None)
+    if local and fix_light is not None:
+        raise InputError("fix_light is given, so the graph takes no light: leave local out")
+    lights = None if blend is None else blend.shape[1]
+    incident: tuple[int, ...] = (6, size, size, 3) if source == "environment" else (transfer.order**2, 3)
+    incident = incident if lights is None else (lights, *incident)
     inputs: dict[str, tuple[int, ...]] = {source: incident, "rotation": (3, 3)}
     about: dict[str, Any] = {"source": source, "size": size if source == "environment" else None}
     if "eye" in needs:
@@ -84,10 +91,14 @@ def plan(
         about["exponent"] = float(lobe) if lobe.numel() == 1 else "one a receiver"
     if orders is not None:
         about["orders"] = {name: _counts(chosen) for name, chosen in orders.items()}
+    if places is not None:
+        about |= {"sample_points": places.tolist(), "gradients": lights != len(places)}
     texels = 6 * size * size * transfer.order**2 if source == "environment" else 0
+    texels += 0 if blend is None else blend.numel()
 
     def from_source(module: Shader) -> Module:
-        return EnvironmentShader(module, size) if source == "environment" else module
+        held = module if blend is None else LocalLightShader(module, blend.double())
+        return EnvironmentShader(held, size) if source == "environment" else held
 
     if fix_eye is not None:
         place = {name: _eye(fix_eye)}
@@ -97,8 +108,9 @@ def plan(
             inputs,
             transfer.vertices,
             about | {"fixed": {key: value.tolist() for key, value in place.items()}},
-            lambda: ShaderGraph(made(torch.float64).fix_eye(**place), source, size, eye, None),
+            lambda: ShaderGraph(made(torch.float64).fix_eye(**place), source, size, eye, None, blend),
             lambda: from_source(made(torch.float64).fix_eye(**place)),
+            lights=lights,
         )
     seen = [layer.signal.shape for layer in transfer.eye_layers.values()]
     if seen and not max(shape[0] for shape in seen):
@@ -130,9 +142,10 @@ def plan(
         inputs,
         transfer.vertices,
         about,
-        lambda: ShaderGraph(of(held, torch.float32), source, size, eye, chosen),
+        lambda: ShaderGraph(of(held, torch.float32), source, size, eye, chosen, blend),
         lambda: from_source(made(torch.float64)),
         single=() if chosen is None else (chosen,),
+        lights=lights,
     )
 
 

@@ -37,6 +37,12 @@ class SignalGraph(nn.Module):
         product = lights @ rows if values is None else (lights.unsqueeze(-2) @ rows).squeeze(-2)
         return self.weighed(product.transpose(0, 1))
 
+    def shared(self, light: Tensor, values: Tensor, frames: Tensor | None, lights: int) -> Tensor:
+        """The same of `light [B lights, N, 3]`, of which so many share the eye of `values [B, M, G]`."""
+        repeated = values.unsqueeze(1).expand(-1, lights, -1, -1).flatten(0, 1)
+        radiance: Tensor = self(light, repeated, frames)
+        return radiance
+
     def weighed(self, radiance: Tensor) -> Tensor:
         return radiance if self.weight is None else radiance * self.weight
 

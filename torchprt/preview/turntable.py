@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import torch
@@ -34,7 +34,8 @@ class Studio:
     `rotation` turns the environment. Glossy transfer is shaded for the eye of the camera. `exposure` in stops, that of
     `automatic_exposure` if omitted. `background`: a plain grey one, the environment, nothing (pictures then have a
     fourth channel, their opacity), or a colour in sRGB. A ground fades out toward its rim.
-    `colours`: sRGB of the vertices, to be shown as they are in place of their radiance.
+    `colours`: sRGB of the vertices, to be shown as they are in place of their radiance. `relight`: what gives their
+    radiance under the turned light of the environment toward an eye, in place of the shader.
     Raises InputError as `Still` and the shader.
     """
 
@@ -50,6 +51,7 @@ class Studio:
         background: Background = "plain",
         samples: int = SAMPLES,
         colours: Float[Tensor, "V 3"] | None = None,
+        relight: Callable[[Tensor, Tensor], Tensor] | None = None,
     ):
         if background == "environment" and environment.image is None:
             raise InputError(f"{environment.name} has no image to show behind the model: give an environment image")
@@ -61,7 +63,7 @@ class Studio:
         self.background: Background = background
         self.samples = samples
         self._colours = None if colours is None else linear(colours.float())
-        self._relight = Relight(shader)
+        self._relight = Relight(shader) if relight is None else relight
         self._still: Still | None = None
         self._panorama: tuple[float, Tensor] | None = None
 

@@ -12,6 +12,7 @@ from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
 from .light_field import under_field
+from .local_light import LocalLightShader, local_light_shader
 from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
 from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
@@ -36,6 +37,7 @@ __all__ = [
     "FixedLightShader",
     "IncidentLayer",
     "LayerModule",
+    "LocalLightShader",
     "Making",
     "NeighbourhoodShader",
     "PhongReceiving",
@@ -54,6 +56,7 @@ __all__ = [
     "fixed_orders",
     "lay",
     "layer_module",
+    "local_light_shader",
     "neutral",
     "sample",
     "shader",

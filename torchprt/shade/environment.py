@@ -11,12 +11,14 @@ from torchprt.errors import InputError
 from torchprt.sh import cube_basis
 from torchprt.sh.precision import KeepsSingle, without_autocast
 from torchprt.shade.display import ToneMap, display
+from torchprt.shade.local_light import LocalLightShader
 from torchprt.shade.shader import Shader
 
 
 class EnvironmentShader(KeepsSingle):
     """Shades straight from cube maps: `environment [..., 6, H, W, 3]` -> light -> rotation -> exit radiance.
 
+    Of a `LocalLightShader` there are K cube maps, one a light: `environment [..., K, 6, H, W, 3]`.
     `size`: H = W of the cube maps. With `tone` the result is an sRGB picture value (exposure in stops, tone map,
     sRGB), otherwise linear radiance. Gradients flow to the environment, and to the eye if the shader takes one.
     Source: Sloan, Kautz and Snyder 2002, figure 2 and section 6.2.
@@ -25,7 +27,9 @@ class EnvironmentShader(KeepsSingle):
     single = ("weights",)
     weights: Tensor
 
-    def __init__(self, shader: Shader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None):
+    def __init__(
+        self, shader: Shader | LocalLightShader, size: int, *, exposure: float = 0.0, tone: ToneMap | None = None
+    ):
         super().__init__()
         if size < 2:
             raise InputError(f"size {size} of the cube map is too small: give at least 2")

@@ -49,6 +49,13 @@ class Receivers(Part, abc.ABC):
         model = ~self.ground()
         return self.positions[model] if bool(model.any()) else self.positions
 
+    def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
+        """The sample points of their light and its blend at each; InputError, which says how to get them, if none."""
+        raise InputError(
+            "the transfer has no sample points: bake it with --sample-points, or make them with "
+            "light.with_sample_points"
+        )
+
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
@@ -94,6 +101,9 @@ class Vertices(Receivers):
     - `original [V]`: which vertex of the mesh every one was, if `compression.reorder` put them in another order; else
       None.
     - `sight [V]`: how each came to its transfer, a number of `Sight`, uint8; None if all are valid or nobody looked.
+    - `sample_points [S, 3]`, `blend [V, S]`: where the light about them is captured, and what the light of every point
+      counts at every receiver: weights of 0 or more that sum to 1. Or `blend [V, 4 S]`: behind the weight of a point
+      those of the derivatives of its light along x, y and z. Both or none; see `light.with_sample_points`.
     - `mirror_positions`, `mirror_normals`, `mirror_reflectance [P, 3]`, `mirror_faces [T, 3]`: the mirrors of the
       scene, which record nothing, to be drawn; None without.
     - `objects`: what they are of, one after the other, as a dictionary each: `name` of the mesh, `role` ("receiver" or
@@ -108,6 +118,8 @@ class Vertices(Receivers):
         "faces": Layout(("F", "3"), WHOLE),
         "original": Layout(("V",), WHOLE, optional=True),
         "sight": Layout(("V",), (torch.uint8,), optional=True),
+        "sample_points": Layout(("S", "3"), REAL, optional=True),
+        "blend": Layout(("V", "K"), REAL, optional=True),
         "mirror_positions": Layout(("P", "3"), REAL, optional=True),
         "mirror_normals": Layout(("P", "3"), REAL, optional=True),
         "mirror_reflectance": Layout(("P", "3"), REAL, optional=True),
@@ -119,6 +131,8 @@ class Vertices(Receivers):
     faces: Tensor
     original: Tensor | None = None
     sight: Tensor | None = None
+    sample_points: Tensor | None = None
+    blend: Tensor | None = None
     mirror_positions: Tensor | None = None
     mirror_normals: Tensor | None = None
     mirror_reflectance: Tensor | None = None
@@ -191,9 +205,33 @@ class Vertices(Receivers):
                 raise InputError(f"objects of the transfer name receiver {each['rows'][1]} of {self.count}: bake again")
         if self.sight is not None and bool((self.sight > max(Sight)).any()):
             raise InputError(f"sight of the transfer has numbers above {max(Sight):d}: a newer torchprt wrote it")
+        self._check_blend()
         order = self.original
         if order is not None and not torch.equal(order.sort().values.long(), torch.arange(len(order)).to(order.device)):
             raise InputError("original of the transfer does not name every vertex once: compress it again")
+
+    def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
+        if self.sample_points is None or self.blend is None:
+            return super().sampled()
+        return self.sample_points, self.blend
+
+    def _check_blend(self) -> None:
+        if (self.sample_points is None) != (self.blend is None):
+            raise InputError("the transfer has sample_points or blend without the other: give both or none")
+        if self.sample_points is None or self.blend is None:
+            return
+        points, columns = len(self.sample_points), self.blend.shape[1]
+        if points == 0 or columns not in (points, 4 * points):
+            raise InputError(
+                f"blend of the transfer has {columns} columns for {points} sample points: it must have one a point, or "
+                "four with gradients; make them with light.with_sample_points"
+            )
+        weights = self.blend[:, :: columns // points]
+        if bool((weights < 0).any()) or bool(((weights.sum(1) - 1).abs() > 1e-3).any()):
+            raise InputError(
+                "blend of the transfer has weights below 0, or that do not sum to 1: make it with "
+                "light.with_sample_points"
+            )
 
 
 @dataclass(kw_only=True, repr=False)

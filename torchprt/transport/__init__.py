@@ -4,6 +4,7 @@ from torchprt.checkpoint import CheckpointWarning as CheckpointWarning
 
 from .bake import bake
 from .bake_glossy import OrderWarning
+from .capture import lamps_seen
 from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
@@ -29,6 +30,7 @@ __all__ = [
     "frames",
     "groove_transfer",
     "hemisphere",
+    "lamps_seen",
     "membrane_lobes",
     "patch_transfer",
     "unshadowed",
