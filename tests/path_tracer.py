@@ -28,8 +28,9 @@ def positive_light(order=5):
     return light
 
 
-def scene(mi, geometry, light, material):
-    """The triangles of a `Geometry` of one object with our normals, of one Mitsuba material, under `light [N, 3]`."""
+def scene(mi, geometry, light, material, mirror=None):
+    """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
+    `light [N, 3]`."""
     height, width = 512, 1024
     v, u = torch.meshgrid(
         (torch.arange(height, dtype=torch.float64) + 0.5) / height,
@@ -40,16 +41,27 @@ def scene(mi, geometry, light, material):
     # Mitsuba's left edge looks along -z, where ours has its centre.
     directions = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1).view(-1, 3)
     image = (sh.basis(directions, math.isqrt(len(light))) @ light).view(height, width, 3).float().numpy()
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(material)
-    counts = len(geometry.positions), len(geometry.faces)
-    mesh = mi.Mesh("mesh", *counts, has_vertex_normals=True, props=properties)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(geometry.positions.float().numpy().ravel())
-    parameters["vertex_normals"] = mi.Float(geometry.receiver_normals.float().numpy().ravel())
-    parameters["faces"] = mi.UInt32(geometry.faces.numpy().astype(np.uint32).ravel())
-    parameters.update()
-    return mi.load_dict({"type": "scene", "mesh": mesh, "sky": {"type": "envmap", "bitmap": mi.Bitmap(image)}})
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(image)}
+    return mi.load_dict({"type": "scene", "sky": sky, **_meshes(mi, geometry, material, mirror)})
+
+
+def _meshes(mi, geometry, material, mirror):
+    bodies = {"mesh": (geometry.faces[geometry.mirror < 0], geometry.receiver_normals, material)}
+    if len(geometry.reflectance):
+        bodies = {"mesh": (bodies["mesh"][0], geometry.mirror_normals, material)}
+        bodies["mirror"] = (geometry.faces[geometry.mirror >= 0], geometry.mirror_normals, mirror)
+    found = {}
+    for name, (faces, normals, body) in bodies.items():
+        properties = mi.Properties()
+        properties["bsdf"] = mi.load_dict(body)
+        mesh = mi.Mesh(name, len(geometry.positions), len(faces), has_vertex_normals=True, props=properties)
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = mi.Float(geometry.positions.float().numpy().ravel())
+        parameters["vertex_normals"] = mi.Float(normals.float().numpy().ravel())
+        parameters["faces"] = mi.UInt32(faces.numpy().astype(np.uint32).ravel())
+        parameters.update()
+        found[name] = mesh
+    return found
 
 
 def arriving(mi, world, depth, origins, frames, directions, at_once=2048, seed=0):

@@ -32,6 +32,7 @@ def bake(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
+    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
@@ -79,6 +80,7 @@ def bake(
         specular=specular,
         two_sided=two_sided,
         blocker=blocker,
+        mirror=mirror,
         ground=ground,
         ground_albedo=ground_albedo,
     )

@@ -70,7 +70,7 @@ Gloss = Annotated[
     typer.Option(
         "--material",
         rich_help_panel=SCENE,
-        help="phong:40 blinn:40 ggx:0.3 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5, a .toml file, or file: its own gloss.",
+        help="phong:40 blinn:40 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 mirror:gold, a .toml, or file: its own gloss.",
     ),
 ]
 Specular = Annotated[
@@ -88,6 +88,15 @@ TwoSided = Annotated[
 Blocker = Annotated[
     list[Path] | None,
     typer.Option("--blocker", rich_help_panel=SCENE, help="A mesh that only casts shadows (repeatable)."),
+]
+Mirror = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--mirror",
+        rich_help_panel=SCENE,
+        metavar="MESH[=METAL]",
+        help="A mesh that is a mirror and records nothing (repeatable): ring.ply, ring.ply=gold, ring.ply=.95,.64,.54.",
+    ),
 ]
 Ground = Annotated[
     str | None,
@@ -163,6 +172,7 @@ def scene_of(
     specular: str | None,
     two_sided: bool | None,
     blocker: Sequence[Path] | None,
+    mirror: Sequence[str] | None,
     ground: str | None,
     ground_albedo: str | None,
 ) -> Scene:
@@ -173,10 +183,25 @@ def scene_of(
     if ground is not None and ground != LOWEST:
         (height,) = options.numbers(ground, 1, "--ground")
     colour, surface = options.albedo(albedo), options.surface(material, specular)
-    from torchprt.scene import load
+    from torchprt.scene import Scene, load_objects, mirror_of
 
-    scene = load(meshes, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)
-    return scene if ground is None else scene.on_ground(height, floor)
+    objects = load_objects(meshes, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)
+    objects += [mirror_of(*_mirror(text)) for text in mirror or ()]
+    if ground is None:
+        return Scene(objects)
+    # A mirror alone is no scene, on a ground it is.
+    from torchprt.scene.ground import ground as ground_under
+
+    return Scene([*objects, *ground_under(objects, height, floor)])
+
+
+def _mirror(text: str) -> tuple[str, str]:
+    """The mesh of a --mirror and its material in words."""
+    name, equals, metal = text.rpartition("=")
+    # A file may have the sign in its name.
+    if not equals or Path(text).exists():
+        return text, "mirror"
+    return name, f"mirror:{metal}"
 
 
 def baked(

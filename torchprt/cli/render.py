@@ -66,6 +66,7 @@ def render(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
+    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
 ) -> None:
@@ -103,7 +104,13 @@ def render(
         raise InputError(f"--backdrop is transparent, which {output} cannot hold: write {either(TRANSPARENT)}")
     given: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "output_order": output_order}
     given |= {"seed": seed, "threads": threads, "albedo": albedo, "material": material, "specular": specular}
-    given |= {"two_sided": two_sided, "blocker": blocker, "ground": ground, "ground_albedo": ground_albedo}
+    given |= {
+        "two_sided": two_sided,
+        "blocker": blocker,
+        "mirror": mirror,
+        "ground": ground,
+        "ground_albedo": ground_albedo,
+    }
     opened = Source(source, bake, given)
     environment = picture.environment(opened.order)
     loaded = opened.transfer()

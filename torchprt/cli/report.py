@@ -91,6 +91,10 @@ def details(transfer: Transfer) -> list[str]:
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
+    if "mirror_faces" in transfer.receivers.tensors():
+        lines[0] += f"; {count(len(transfer.receivers.tensors()['mirror_faces']), 'face')} of mirrors beside them"
+    if transfer.cut:
+        lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)

@@ -39,7 +39,7 @@ def sample_receivers(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, In
         used, faces = _corners_of(geometry, face[wanted])
         rows.append(torch.searchsorted(used, wanted.sort().values) + sum(len(each.mesh.positions) for each in objects))
         objects.append(_recording(geometry, used, faces, Material(0.0, gloss=geometry.gloss[index])))
-    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)
+    return Scene([*objects, *_others(geometry)]), torch.cat(rows)
 
 
 def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[Tensor, "v"], Int64[Tensor, "v"]]:
@@ -85,7 +85,7 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
         objects.append(_recording(geometry, used, faces, material))
     among = torch.cat(numbers)
     ascending = among.argsort()
-    return Scene([*objects, _blocking(geometry)]), torch.cat(rows)[ascending], among[ascending]
+    return Scene([*objects, *_others(geometry)]), torch.cat(rows)[ascending], among[ascending]
 
 
 def receivers_of(transfer: Transfer, chosen: Int64[Tensor, "v"]) -> Transfer:
@@ -139,8 +139,17 @@ def _corners_of(geometry: Geometry, faces: Tensor) -> tuple[Int64[Tensor, "v"], 
     return used, corners
 
 
-def _blocking(geometry: Geometry) -> Object:
-    return Object(make_mesh(geometry.positions, geometry.faces, name="all surfaces"), Material(0.0), "blocker")
+def _others(geometry: Geometry) -> list[Object]:
+    """All surfaces: black but for the mirrors."""
+    black = geometry.faces[geometry.mirror < 0]
+    found = []
+    if len(black):
+        found.append(Object(make_mesh(geometry.positions, black, name="all surfaces"), Material(0.0), "blocker"))
+    for number, share in enumerate(geometry.reflectance):
+        faces = geometry.faces[geometry.mirror == number]
+        mesh = make_mesh(geometry.positions, faces, normals=geometry.mirror_normals, name="mirror")
+        found.append(Object(mesh, Material(mirror=share)))
+    return found
 
 
 def _recording(geometry: Geometry, used: Tensor, faces: Tensor, material: Material) -> Object:

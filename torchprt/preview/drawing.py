@@ -23,7 +23,7 @@ LEFT_TOP = 12
 
 
 class Drawing:
-    """The model, its black reverse, the environment behind, a lobe and a panel of text.
+    """The model, its black reverse, mirrors beside it, the environment behind, a lobe and a panel of text.
 
     `open3d`: the module; `viewer`: its visualiser, which is told what to draw. `size` of the window in pixels.
     """
@@ -43,6 +43,10 @@ class Drawing:
         if self._reverse is not None:
             self._reverse.paint_uniform_color([0.0, 0.0, 0.0])
             viewer.add_geometry(self._reverse, reset_bounding_box=False)
+        self._mirrors: Any = None
+        if session.mirrors is not None:
+            self._mirrors = self._mesh(session.mirrors[0], session.mirrors[3])
+            viewer.add_geometry(self._mirrors)
         self._directions, faces = sphere(RINGS)
         inward = faces.flip(1)
         steps = torch.arange(len(self._directions))
@@ -59,6 +63,7 @@ class Drawing:
         changed = [
             self._changed("camera", (camera, size)) and self._look(camera, size, near, far),
             self._shade(),
+            self._reflect(camera),
             self._behind(camera, far),
             self._function(),
             self._write(camera, size, near, tuple(lines)),
@@ -82,6 +87,17 @@ class Drawing:
         """Hands sRGB colours of the vertices to Open3D, which draws them with the next frame."""
         self.model.vertex_colors = self._vectors(colours)
         self.viewer.update_geometry(self.model)
+
+    def _reflect(self, camera: Camera) -> bool:
+        session = self.session
+        key = (camera, session.environment, session.stops, tuple(session.rotation.flatten().tolist()))
+        if self._mirrors is None or not self._changed("mirrors", key):
+            return False
+        colours = session.mirror_colours()
+        assert colours is not None
+        self._mirrors.vertex_colors = self._vectors(colours)
+        self.viewer.update_geometry(self._mirrors)
+        return True
 
     def _look(self, camera: Camera, size: tuple[int, int], near: float, far: float) -> bool:
         width, height = size

@@ -15,17 +15,18 @@ from torchprt.light import WINDOWS, windowed
 from torchprt.preview import modes
 from torchprt.preview.animation import Animation
 from torchprt.preview.camera import Camera
-from torchprt.preview.environment import Environment, automatic_exposure, photograph
+from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, photograph
 from torchprt.preview.error_colours import error_colours
 from torchprt.preview.ground import opacity, subject
 from torchprt.preview.lobe import Lobe, lobe
+from torchprt.preview.mirror import mirror_radiance
 from torchprt.preview.orbit import Orbit, dragged
 from torchprt.preview.relight import Relight
 from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
-from torchprt.transfer import Transfer
+from torchprt.transfer import Transfer, Vertices
 from torchprt.words import count
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
@@ -38,6 +39,8 @@ WORST = 0.1
 """The error of compression that is shown as red at exposure 0, relative to the RMS radiance."""
 CLUSTERS = 256
 """Of what is compressed here, or a sixteenth of the receivers if they are few."""
+MIRRORED = 0.02
+"""Radians that a vertex of a mirror shows as one."""
 LOBE = 0.25
 """How far a transfer function reaches, in radii of the model."""
 
@@ -83,6 +86,8 @@ class Session:
         self.seconds = 0.0
         self._animation = Animation(self.rest, poses)
         self.normals = first.normals.float()
+        self.mirrors = first.receivers.mirrors if isinstance(first.receivers, Vertices) else None
+        self._around: tuple[int, Tensor] | None = None
         self.environments = list(environments)
         self.tone: ToneMap = tone
         self.mode = "transfer" if self.bakes else "compressed"
@@ -179,6 +184,16 @@ class Session:
             return self._display(environment.image)
         self.light()
         return self._display(photograph(self._windowed[self.environment, self.order, self.window]))
+
+    def mirror_colours(self) -> Float[Tensor, "P 3"] | None:
+        """sRGB of the vertices of mirrors as the camera sees them; None if the scene has none."""
+        if self.mirrors is None:
+            return None
+        environment = self.environments[self.environment]
+        if self._around is None or self._around[0] != self.environment:
+            image = photograph(environment.light) if environment.image is None else environment.image
+            self._around = self.environment, for_pixels(image.float(), MIRRORED)
+        return self._display(mirror_radiance(self.mirrors, self.eye, self._around[1], self.rotation))
 
     def lobe(self) -> Lobe | None:
         """The transfer function of the picked vertex, as a surface on the model; None if none is picked."""

@@ -16,7 +16,7 @@ from .paint import Paint
 from .points import Points
 from .reading import read_mesh
 from .rig import Rig
-from .scene import Requirements, Scene, load
+from .scene import Requirements, Scene, load, load_objects, mirror_of
 from .scene_file import read_scene
 from .surface import Look, Surface, read_surface, texture_albedo
 
@@ -40,7 +40,9 @@ __all__ = [
     "file_material",
     "height_field",
     "load",
+    "load_objects",
     "make_mesh",
+    "mirror_of",
     "object_of",
     "read_heights",
     "read_material",

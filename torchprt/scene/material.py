@@ -48,7 +48,7 @@ class Material:
     gloss: Brdf | Glosses | str | None = None
     specular: Albedo = 1.0
     translucency: float | int = 0.0
-    mirror: float | int | Sequence[float] | None = None
+    mirror: float | int | Sequence[float] | Float[Tensor, "C"] | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -39,9 +39,9 @@ def read_material(text: str | os.PathLike[str]) -> Material:
     - "membrane:0.5": a diffuse sheet of that translucency, albedo .5.
     - "mirror", "mirror:.8", "mirror:.95,.64,.54" (linear RGB along the normal) or "mirror:gold", any of `METALS`.
     - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror` (as `Material` takes
-      them) and `gloss`, either text as above or a table of a `model` and its numbers by name (`roughness`, `f0`, `exponent`,
-      ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured values as `brdf.Tabulated` takes
-      them, beside the .toml.
+      them, a mirror also by its metal) and `gloss`, either text as above or a table of a `model` and its numbers by
+      name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured
+      values as `brdf.Tabulated` takes them, beside the .toml.
 
     Raises InputError, naming the file and the key, for anything else and as `Material` does.
     """

@@ -113,7 +113,7 @@ def load(
     blockers: Source | Sequence[Source] = (),
     material: Material | str | None = None,
     mirrors: Source | Sequence[Source] = (),
-    mirror: Material | str = "mirror",
+    metal: Material | str = "mirror",
 ) -> Scene:
     """The scene of one or several mesh files (or meshes), of blockers that only cast shadows, and of mirrors.
 
@@ -122,7 +122,7 @@ def load(
       any of them; else .5.
     - `material` is a material, or text as `read_material` takes, "ggx:0.3,0.04" or the name of a .toml file, or "file"
       for albedo and gloss of the file's own. An albedo given beside it replaces that of the material.
-    - `mirror` is the material of `mirrors`, as text "mirror", "mirror:.95,.64,.54" or "mirror:gold".
+    - `metal` is the material of `mirrors`, as text "mirror", "mirror:.95,.64,.54" or "mirror:gold".
     - `two_sided` says whether both sides receive light, instead of the material or the file.
 
     The name of a .toml file alone is that of a whole scene, as `read_scene` reads it; it says its materials itself.
@@ -130,7 +130,8 @@ def load(
     Raises InputError as `read_mesh`, `read_scene`, `read_material` and `Material` do, if there is no mesh, or if a
     scene comes with other meshes or a material.
     """
-    return Scene(load_objects(sources, albedo, two_sided, blockers, material, mirrors, mirror))
+    objects = load_objects(sources, albedo, two_sided, blockers, material)
+    return Scene([*objects, *(mirror_of(source, metal) for source in _several(mirrors))])
 
 
 def load_objects(
@@ -139,11 +140,9 @@ def load_objects(
     two_sided: bool | None = None,
     blockers: Source | Sequence[Source] = (),
     material: Material | str | None = None,
-    mirrors: Source | Sequence[Source] = (),
-    mirror: Material | str = "mirror",
 ) -> list[Object]:
-    """The objects that `load` makes a scene of: a mirror alone is none, but with a ground it is."""
-    more = [*_blocking(blockers), *_mirroring(mirrors, mirror)]
+    """The objects that `load` makes a scene of: a mirror alone is none, but on a ground it is."""
+    more = _blocking(blockers)
     scenes = [each for each in _several(sources) if not isinstance(each, Mesh) and is_scene(each)]
     if scenes:
         if len(_several(sources)) > 1 or albedo is not None or material is not None or two_sided is not None:
@@ -170,11 +169,14 @@ def _blocking(blockers: Source | Sequence[Source]) -> list[Object]:
     return [Object(_mesh(source), Material(0.0), "blocker") for source in _several(blockers)]
 
 
-def _mirroring(sources: Source | Sequence[Source], mirror: Material | str) -> list[Object]:
-    material = read_material(mirror) if isinstance(mirror, str) else mirror
+def mirror_of(source: Source, metal: Material | str = "mirror") -> Object:
+    """A mesh or a mesh file as a mirror. Raises InputError unless `metal` is the material of one."""
+    material = read_material(metal) if isinstance(metal, str) else metal
     if material.mirror is None:
-        raise InputError(f'mirror is {mirror!r}, which is none: give "mirror", "mirror:.95,.64,.54" or "mirror:gold"')
-    return [Object(_mesh(source), material) for source in _several(sources)]
+        raise InputError(
+            f'metal is {metal!r}, which is no mirror: give "mirror", "mirror:.95,.64,.54" or "mirror:gold"'
+        )
+    return Object(_mesh(source), material)
 
 
 def _several(sources: Source | Sequence[Source]) -> Sequence[Source]:

@@ -22,10 +22,10 @@ class Hits:
     """The nearest hit of every ray: `triangle` (-1 where it escapes), barycentrics `u`, `v` of the second and third
     corner, and whether the `front` of the triangle was hit (counter-clockwise corners seen from the ray)."""
 
-    triangle: Int[Tensor, "v D"]
-    u: Float[Tensor, "v D"]
-    v: Float[Tensor, "v D"]
-    front: Bool[Tensor, "v D"]
+    triangle: Int[Tensor, "*rays"]
+    u: Float[Tensor, "*rays"]
+    v: Float[Tensor, "*rays"]
+    front: Bool[Tensor, "*rays"]
 
 
 @dataclass
@@ -159,7 +159,7 @@ class Tracer:
         extent = (places.amax(1) - places.amin(1)).amax(-1)
         return Spot((places * weights).sum(1), normal, smooth, extent)
 
-    def _nearest(self, start: np.ndarray, rays: np.ndarray, shape: tuple[int, int]) -> Hits:
+    def _nearest(self, start: np.ndarray, rays: np.ndarray, shape: tuple[int, ...]) -> Hits:
         found = self._scene.run(start, rays, output=1)
         facing = np.einsum("rk,rk->r", found["Ng"], rays) < 0
         triangle, u, v, front = (

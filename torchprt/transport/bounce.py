@@ -100,7 +100,7 @@ def shadowed_with_hits(
 def _entries(
     hits: Hits, surfaces: Surfaces, weights: Tensor, lit: Tensor, share: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Entries a receiver, their sources and weights, for a block of receivers; `share [v, D, A]` of each ray is left."""
+    """Entries a receiver, their sources and weights, of a block. `share [v, D, A]`: what is left of each ray."""
     row, column = torch.nonzero((hits.triangle >= 0) & lit[:, None], as_tuple=True)
     triangle = hits.triangle[row, column].long()
     corners = torch.where(hits.front[row, column][:, None], surfaces.front[triangle], surfaces.back[triangle])

@@ -53,14 +53,14 @@ class ByMirrors:
 
     def direct(self, weights: Float[Tensor, "D"], order: int, receivers: int) -> Float[Tensor, "A N v"]:
         """`sum_s weights(s) share y_i(where s came to)`, in the world."""
-        total = torch.zeros(self.rays.share.shape[1], order * order, receivers)
+        total = torch.zeros(self.rays.share.shape[1], receivers, order * order)
         for row, column, share, direction in self.escaped():
             values = share * weights[column][:, None]
             for some in torch.arange(len(row)).split(max(1, _NUMBERS // order**2)):
                 harmonics = basis(direction[some], order)
                 for channel, value in zip(total, values[some].unbind(1), strict=True):
-                    channel.index_add_(1, row[some], (harmonics * value[:, None]).T)
-        return total
+                    channel.index_add_(0, row[some], harmonics * value[:, None])
+        return total.mT
 
     def radiance(self, order: int, receivers: int, directions: int) -> Float[Tensor, "v D W"]:
         """The same along each direction, not summed, over channels and coefficients of the light."""

@@ -34,8 +34,8 @@ class Solution:
 
 def surfaces(geometry: Geometry) -> Surfaces:
     """Which receivers reflect at the corners of the faces of a scene."""
-    numberings = (geometry.receiver_of_vertex, geometry.back_receiver_of_vertex)
-    return Surfaces(*(numbering[geometry.faces] for numbering in numberings), mirrors_of(geometry))
+    front, back = geometry.receiver_of_vertex, geometry.back_receiver_of_vertex
+    return Surfaces(front[geometry.faces], back[geometry.faces], mirrors_of(geometry))
 
 
 def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:

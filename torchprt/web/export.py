@@ -23,7 +23,7 @@ from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
 from torchprt.shade import at_rest, shader
 from torchprt.shade.display import TONE
-from torchprt.transfer import Transfer
+from torchprt.transfer import Transfer, Vertices
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.libraries import libraries
@@ -128,6 +128,10 @@ def export(
         models = [_zipped(made / name) for name in (MODEL, COMPRESSED) if (made / name).is_file()]
         save = preview.save_glb if exact else save_small_glb
         moved = save(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full)) or 0.0
+        mirrors = full.receivers.mirrors if isinstance(full.receivers, Vertices) else None
+        if mirrors is not None:
+            places, normals, shares, corners = mirrors
+            save(places, normals, corners, made / "mirrors.glb", colour=shares)
         camera = preview.frame(preview.subject(full.receivers), aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
         stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
@@ -139,10 +143,12 @@ def export(
                 for each, picture, exposure in zip(lights, pictures, stops, strict=True)
             ],
         }
-        loaded = ("mesh.glb", MODEL + ".gz", *(f"libraries/{name}" for name in LOADED), *pictures)
+        about["mirrors"] = mirrors is not None
+        meshes = ("mesh.glb", *(("mirrors.glb",) if mirrors is not None else ()))
+        loaded = (*meshes, MODEL + ".gz", *(f"libraries/{name}" for name in LOADED), *pictures)
         about["download"] = sum((made / name).stat().st_size for name in loaded)
         (made / "scene.json").write_text(json.dumps(about, allow_nan=False), encoding="utf-8")
-        own = [*models, made / "mesh.glb", made / "scene.json", *(made / name for name in pictures)]
+        own = [*models, *(made / name for name in meshes), made / "scene.json", *(made / name for name in pictures)]
         model_bytes = sum(path.stat().st_size for path in own)
     size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
     names = tuple(each.name for each in lights)

@@ -58,10 +58,11 @@ async function start() {
   at("title").textContent = described.title;
   at("subtitle").textContent = described.subtitle;
   at("loading").textContent = `loading ${megabytes(described.download)}`;
-  const [mesh, model, compressed, pictures] = await Promise.all([
+  const [mesh, model, compressed, pictures, mirrors] = await Promise.all([
     ...loading,
     described.compressed ? Model.open("compressed.onnx.gz") : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
+    described.mirrors ? loadMesh("mirrors.glb") : null,
   ]);
   if (mesh.vertices !== described.vertices) {
     throw notOfOnePage(`mesh.glb has ${mesh.vertices} vertices where the model shades ${described.vertices}`);
@@ -71,6 +72,7 @@ async function start() {
   at("canvas").addEventListener("webglcontextlost", () =>
     window.complain("The graphics card was lost", "The system or another page took it away. Load this page again."),
   );
+  if (mirrors) viewer.view.addMirrors(mirrors);
   connect(viewer);
   await viewer.change();
   at("loading").hidden = true;

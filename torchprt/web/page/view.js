@@ -48,6 +48,45 @@ const reverse = () =>
     fragmentShader: "void main() { gl_FragColor = vec4(0.0, 0.0, 0.0, 1.0); }",
   });
 
+// The direction in which a latitude-longitude map whose middle is -z and whose top row is +y is read.
+const PLACE = /* glsl */ `
+  const float PI = 3.141592653589793;
+  vec2 placeOf(vec3 d) {
+    return vec2(atan(d.x, -d.z) / (2.0 * PI) + 0.5, 1.0 - acos(clamp(d.y, -1.0, 1.0)) / PI);
+  }`;
+
+// A mirror shows the picture of the environment, which is sRGB, times its reflectance.
+const mirror = () =>
+  new THREE.ShaderMaterial({
+    uniforms: { picture: { value: null }, turn: { value: new THREE.Matrix3() } },
+    side: THREE.DoubleSide,
+    vertexShader: /* glsl */ `
+      attribute vec3 reflectance;
+      varying vec3 share;
+      varying vec3 outward;
+      varying vec3 place;
+      void main() {
+        share = reflectance;
+        outward = normal;
+        place = position;
+        gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      }`,
+    fragmentShader: /* glsl */ `
+      uniform sampler2D picture;
+      uniform mat3 turn;
+      varying vec3 share;
+      varying vec3 outward;
+      varying vec3 place;
+      ${PLACE}
+      void main() {
+        vec3 away = normalize(place - cameraPosition);
+        vec3 n = normalize(outward);
+        vec3 shares = share + (1.0 - share) * pow(1.0 - abs(dot(away, n)), 5.0);
+        vec3 seen = textureLod(picture, placeOf(normalize(reflect(away, n)) * turn), 0.0).rgb;
+        gl_FragColor = vec4(pow(pow(seen, vec3(2.2)) * shares, vec3(1.0 / 2.2)), 1.0);
+      }`,
+  });
+
 const surroundings = () =>
   new THREE.ShaderMaterial({
     uniforms: { picture: { value: null }, turn: { value: new THREE.Matrix3() } },
@@ -65,11 +104,10 @@ const surroundings = () =>
       uniform sampler2D picture;
       uniform mat3 turn;
       varying vec3 direction;
-      const float PI = 3.141592653589793;
+      ${PLACE}
       void main() {
-        // R^T d, then a latitude-longitude map whose middle is -z and whose top row is +y.
-        vec3 d = normalize(direction) * turn;
-        vec2 place = vec2(atan(d.x, -d.z) / (2.0 * PI) + 0.5, 1.0 - acos(clamp(d.y, -1.0, 1.0)) / PI);
+        // R^T d.
+        vec2 place = placeOf(normalize(direction) * turn);
         // Noise of one unit in 255 hides the steps of a wide gradient.
         float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))) - 0.5;
         gl_FragColor = vec4(0.45 * textureLod(picture, place, 0.0).rgb + noise / 255.0, 1.0);
@@ -94,6 +132,7 @@ export class View {
     this.reverse = reverse();
     // Of a closed surface no reverse is seen.
     if (!closed) this.scene.add(new THREE.Mesh(geometry, this.reverse));
+    this.mirror = mirror();
     this.pictures = new Map();
     this.#place(camera);
     new ResizeObserver(() => this.resize()).observe(canvas);
@@ -155,10 +194,18 @@ export class View {
     }
   }
 
-  /** `image` (an element that is loaded) behind the model, turned by the row-major `rotation`; none without image. */
-  surround(image, rotation) {
-    this.sky.visible = Boolean(image);
-    if (!image) return;
+  /** Draws mirrors too: a mesh whose colours are what they reflect along their normals. */
+  addMirrors({ geometry, albedo }) {
+    geometry.setAttribute("reflectance", new THREE.BufferAttribute(albedo, 3));
+    geometry.computeBoundingSphere();
+    this.scene.add(new THREE.Mesh(geometry, this.mirror));
+    const box = new THREE.Box3().setFromBufferAttribute(this.geometry.attributes.position);
+    box.union(new THREE.Box3().setFromBufferAttribute(geometry.attributes.position)).getBoundingSphere(this.ball);
+  }
+
+  /** `image` (an element that is loaded), turned by the row-major `rotation`, in mirrors and, if `shown`, behind. */
+  surround(image, rotation, shown) {
+    this.sky.visible = shown;
     if (!this.pictures.has(image)) {
       const texture = new THREE.Texture(image);
       texture.generateMipmaps = false;
@@ -167,8 +214,10 @@ export class View {
       texture.needsUpdate = true;
       this.pictures.set(image, texture);
     }
-    this.sky.material.uniforms.picture.value = this.pictures.get(image);
-    this.sky.material.uniforms.turn.value.set(...rotation);
+    for (const { uniforms } of [this.sky.material, this.mirror]) {
+      uniforms.picture.value = this.pictures.get(image);
+      uniforms.turn.value.set(...rotation);
+    }
   }
 
   draw() {

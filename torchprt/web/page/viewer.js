@@ -130,7 +130,7 @@ export class Viewer {
     uniforms.exposure.value = this.exposure;
     uniforms.tone.value = TONES.indexOf(this.tone);
     uniforms.falseColour.value = this.mode === "difference";
-    this.view.surround(this.surrounded ? this.pictures[this.environment] : null, this.rotation);
+    this.view.surround(this.pictures[this.environment], this.rotation, this.surrounded);
     this.view.draw();
     this.ondraw?.();
   }
