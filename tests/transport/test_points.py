@@ -11,7 +11,7 @@ from transfers import gloss, stored
 import torchprt as prt
 from torchprt.errors import InputError
 from torchprt.scene import Glosses, Material, Object, Points, Scene, load, make_mesh
-from torchprt.transport import OrderWarning
+from torchprt.transport import OrderWarning, bake
 from torchprt.transport.points import among
 
 pytestmark = [pytest.mark.filterwarnings("ignore::torchprt.transport.OrderWarning")]
@@ -23,7 +23,7 @@ PAINT = "ggx:0.4,0.4"
 
 def in_a_bowl():
     """A glossy coloured bowl, and points at its vertices of the same paint."""
-    mesh, _ = bowl(math.pi / 2, rings=8, segments=16)
+    mesh, _ = bowl(math.pi / 2, rings=6, segments=12)
     points = Points(mesh.positions, mesh.normals, COLOUR, PAINT, 0.5, mesh.tangent_field)
     return Scene([Object(mesh, Material(COLOUR, gloss=PAINT, specular=0.5))]), points
 
@@ -77,23 +77,27 @@ def test_points_without_a_gloss_refuse_what_is_of_gloss():
 )
 def test_points_at_vertices_record_what_the_vertices_record(options):
     scene, points = in_a_bowl()
-    wanted = quiet(scene, order=4, rays=256, **options)
-    found = quiet(scene, order=4, rays=256, receivers=points, **options)
+    wanted = quiet(scene, order=4, rays=128, **options)
+    found = quiet(scene, order=4, rays=128, receivers=points, **options)
     assert found.kind == wanted.kind
     assert found.bounces == wanted.bounces
     for name in wanted.layers:
         one, other = stored(wanted, name), stored(found, name)
-        # Rays of vertices start a step toward the middle of their faces: a few meet another edge.
-        assert float((one - other).norm() / one.norm()) < 0.02
+        # Rays of vertices start a step toward the middle of their faces, so that a few on the rim go the other side of
+        # an edge; all others are the same.
+        differs = (one - other).movedim(-1 if name in ("diffuse", "visibility") else 1, 0).flatten(1).norm(dim=1)
+        scale = one.norm() / len(differs) ** 0.5
+        assert float(differs.quantile(0.7) / scale) < 1e-4
+        assert float((one - other).norm() / one.norm()) < 0.06
     assert torch.equal(gloss(found).tangents, gloss(wanted).tangents)
     assert gloss(found).materials == gloss(wanted).materials
     assert found.error == pytest.approx(wanted.error, rel=0.1)
     # And they are seen from an eye alike.
     light = torch.randn(16, 3, generator=torch.Generator().manual_seed(0))
-    reflectance = {"brdf": PAINT} if wanted.kind.endswith("incident") else {}
+    reflectance = {"brdf": prt.brdf.parse(PAINT)} if wanted.kind.endswith("incident") else {}
     eye = torch.tensor([0.3, 0.2, 3.0])
     seen = [prt.shader(each, **reflectance)(light, eye=eye) for each in (wanted, found)]
-    assert float((seen[0] - seen[1]).norm() / seen[0].norm()) < 0.02
+    assert float((seen[0] - seen[1]).norm() / seen[0].norm()) < 0.06
 
 
 def test_unshadowed_points_have_the_closed_form_of_the_vertices():
@@ -149,7 +153,7 @@ def test_a_given_tangent_turns_the_streaks():
 
 
 def test_points_beside_a_coloured_convex_body_take_endless_bounces():
-    """Nothing that rays of the body meet reflects: its transfer has one channel, what it sends to the points has three."""
+    """Nothing that rays of the body meet reflects: its transfer has one channel, what it sends has three."""
     corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     body = make_mesh(corners, torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     points = Points(torch.tensor([[1.0, 1.0, 1.0]]), torch.tensor([[-1.0, -1, -1]]), 0.3, PAINT)
@@ -162,12 +166,12 @@ def test_points_beside_a_coloured_convex_body_take_endless_bounces():
 
 
 def test_warns_of_an_order_that_is_too_low_for_points_and_for_what_they_see():
-    points = Points(torch.zeros(1, 3), UP, gloss="ggx:0.1,0.4")
+    points = Points(torch.zeros(1, 3), UP, gloss="phong:300")
     plain = Points(torch.zeros(1, 3), UP)
-    with pytest.warns(OrderWarning, match="ggx:0.1"):
-        quiet(floor_and_wall(Material(0.5), 3), order=3, rays=8, receivers=points)
+    with pytest.warns(OrderWarning, match="phong:300"):
+        bake(floor_and_wall(Material(0.5), 3), order=3, rays=8, progress=False, receivers=points)
     with pytest.warns(OrderWarning, match="phong:200"):
-        quiet(floor_and_wall(shiny("phong:200"), 3), order=3, rays=8, bounces=1, receivers=plain)
+        bake(floor_and_wall(shiny("phong:200"), 3), order=3, rays=8, bounces=1, progress=False, receivers=plain)
 
 
 def test_a_scene_seen_by_points_keeps_its_faces_and_reflects_to_nobody():
