@@ -12,6 +12,7 @@ from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
 from .patch import lay, sample
+from .patch_shader import PatchShader
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
@@ -32,6 +33,7 @@ __all__ = [
     "IncidentLayer",
     "LayerModule",
     "Making",
+    "PatchShader",
     "Regions",
     "Shader",
     "SignalModule",
