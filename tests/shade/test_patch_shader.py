@@ -182,7 +182,7 @@ def test_a_glossy_patch_is_written_and_read(tmp_path):
     again = load(tmp_path / "map.safetensors")
     assert torch.equal(again.receivers.relief, patch.receivers.relief)
     assert torch.equal(again.normals, patch.normals)
-    with pytest.raises(InputError, match="relief.* 3 normals for 6 x 8 texels"):
+    with pytest.raises(InputError, match=r"relief.* 3 normals for 6 x 8 texels"):
         patch.receivers.replace(relief=patch.receivers.relief[:3])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float64, Int64
@@ -18,6 +18,7 @@ from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer
 from torchprt.transfer import Texels, Transfer, Vertices
 from torchprt.transport.bake import bake
+from torchprt.transport.bake_glossy import Frame
 
 # Half the side of the floor under a patch, in tiles: a ray that leaves a relief of depth .1 sideways and downward meets
 # it unless it sinks less than one part in six hundred.
@@ -63,7 +64,7 @@ def patch_transfer(
     albedo: Albedo | None = None,
     gloss: Brdf | str | None = None,
     specular: Albedo = 1.0,
-    frame: Literal["exit", "incident"] = "exit",
+    frame: Frame = "exit",
     output_order: int | None = None,
     factors: int | float | None = None,
     seed: int = 0,
