@@ -53,6 +53,13 @@ def render(
     material: Annotated[
         str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
     ] = None,
+    on: Annotated[
+        Path | None,
+        typer.Option("--on", help="A mesh with texture coordinates that a patch covers, read at every pixel."),
+    ] = None,
+    repeat: Annotated[
+        str | None, typer.Option(help="With --on: patches from 0 to 1 along u,v.", show_default="1,1")
+    ] = None,
     with_ground: bake_options.WithGround = False,
     repair: asked.Repair = False,
     bake: bake_options.Keep = None,
@@ -98,6 +105,11 @@ def render(
         repair=repair,
     )
     options.choice(show, "--show", SHOWN)
+    if repeat is not None and on is None:
+        raise InputError("--repeat is for a patch on a mesh: name the mesh with --on")
+    if on is not None and show != SHOWN[0]:
+        raise InputError(f"--show is {show}, but a patch has no vertices: leave it or --on out")
+    times = options.numbers("1,1" if repeat is None else repeat, 2, "--repeat")
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if picture.background == "transparent" and ends not in TRANSPARENT:
@@ -112,13 +124,19 @@ def render(
         "ground_albedo": ground_albedo,
     }
     opened = Source(source, bake, given)
+    if on is not None and opened.scene is not None:
+        raise InputError(f"--on is given, but {source[0]} is a mesh: give a patch that `torchprt patch` wrote")
     environment = picture.environment(opened.order)
     loaded = opened.transfer()
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
     colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
-    studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
+    if on is None:
+        studio = picture.studio(loaded, prt.shader(loaded, brdf=chosen), environment, colours)
+    else:
+        studio = picture.patch_studio(loaded, on, times, chosen, environment)
+        loaded = studio.transfer
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:

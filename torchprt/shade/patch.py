@@ -87,7 +87,7 @@ def _laid(layer: Layer, texels: Texels, taps: Tensor, weights: Tensor, frames: T
             signs = torch.where(hand, _mirrored(layer, texels).to(dtype)[:, None], 1.0)
             coefficients, exact = coefficients * signs[:, None, None], exact * signs[:, None]
         up = relief(texels, taps, weights)
-        along = mix(cast(Tensor, layer.tangents).mT, taps, weights).mT
+        along = mix(layer.tensors()["tangents"].mT, taps, weights).mT
         along = normalize(along - (along * up).sum(-1, keepdim=True) * up, dim=-1)
         changes["tangents"] = (frames @ along.to(frames)[..., None])[..., 0]
     turned = found.replace(axis=axis, coefficients=coefficients, exact=exact)
