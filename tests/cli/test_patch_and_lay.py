@@ -99,7 +99,7 @@ def test_a_patch_is_lit_flat_as_it_was_baked(done, made, folder, tmp_path):
 def test_a_glossy_patch_is_shown_on_a_mesh_at_every_pixel(done, refused, made, folder, tmp_path):
     small = ("--size", 3, "--order", 3, "--rays", 16, "--lobes", 1, "--material", "ggx:0.5,0.4", "--factors", 2)
     said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small, "--albedo", 0.2, "--depth", 0.3)
-    for word in ("zonal diffuse + zonal factored", "map of 3 x 3 texels", "gloss ggx:0.5,0.4"):
+    for word in ("zonal diffuse + zonal factored", "map of 3 x 3 texels", "materials ggx:0.5,0.4"):
         assert word in said
     patch, light = tmp_path / "p.safetensors", ("--light", folder / "lamp.exr", "--size", "48x36")
     shown = (patch, "--on", made / "cylinder.obj", "--repeat", "4,3", *light)

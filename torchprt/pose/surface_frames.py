@@ -73,7 +73,7 @@ def vertex_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertic
 
 
 def corner_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertices: int) -> Float[Tensor, "F 3 2"]:
-    """Texture coordinates of the corners of faces, however they are given. InputError without, or if they do not fit."""
+    """Texture coordinates of the corners of faces. InputError without them, or if they do not fit."""
     if uv is None:
         raise InputError("surface has no texture coordinates: unwrap it (a patch is laid on through them)")
     if uv.shape == (len(faces), 3, 2):
