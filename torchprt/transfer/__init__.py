@@ -1,6 +1,7 @@
 """What a bake leaves: receivers, layers and signals, and one file format."""
 
 from .clustered import Clustered
+from .d3dx import load_d3dx
 from .dense import Dense
 from .file import FORMAT, load, save
 from .layer import Diffuse, Layer
@@ -31,5 +32,6 @@ __all__ = [
     "Zonal",
     "diffuse_transfer",
     "load",
+    "load_d3dx",
     "save",
 ]
