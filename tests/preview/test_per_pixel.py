@@ -35,7 +35,7 @@ def pixels(kind, count, camera=ABOVE, **options):
     """Linear radiance of a picture."""
     patch = random_map(dtype=torch.float32) if kind == "diffuse" else random_glossy_map(kind)
     studio = PatchStudio(patch, *square(count), a_light(), size=(60, 60), exposure=0.0, **options)
-    still, radiance = studio._shaded(studio._look(camera), studio.environment.light)
+    still, radiance = studio.shaded(camera, studio.environment.light)
     return still.radiance(radiance)
 
 
@@ -63,11 +63,11 @@ def test_at_vertices_coarse_faces_lose_it_and_fine_ones_come_near():
     def at_vertices(count):
         laid = lay(patch, *square(count))
         studio = Studio(laid, shader(laid), light, size=(60, 60))
-        still = studio._look(ABOVE)
-        return still.radiance(shader(laid)(light.light))
+        still, radiance = studio.shaded(ABOVE, light.light)
+        return still.radiance(radiance)
 
     exact = PatchStudio(patch, *square(1), light, size=(60, 60))
-    still, radiance = exact._shaded(exact._look(ABOVE), light.light)
+    still, radiance = exact.shaded(ABOVE, light.light)
     wanted = still.radiance(radiance)
     errors = [float((at_vertices(count) - wanted).norm() / wanted.norm()) for count in (1, 40, 160)]
     assert errors[0] > 0.2

@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from torchprt.pose import surface_frames
 from torchprt.pose.surface_frames import corner_uv
+from torchprt.preview.camera import Camera
 from torchprt.preview.environment import Environment
 from torchprt.preview.picture import Still
 from torchprt.preview.turntable import Studio
@@ -55,7 +56,8 @@ class PatchStudio(Studio):
         super().__init__(surface, shader(surface), environment, **options)
         self._points: tuple[Still, Tensor, Tensor, Tensor] | None = None
 
-    def _shaded(self, still: Still, light: Float[Tensor, "N 3"]) -> tuple[Still, Float[Tensor, "E 3"]]:
+    def shaded(self, camera: Camera, light: Float[Tensor, "N 3"]) -> tuple[Still, Float[Tensor, "E 3"]]:
+        still = self._look(camera)
         if self._points is None or self._points[0] is not still:
             self._points = (still, *self._at_hits(still))
         _, uv, frames, places = self._points

@@ -63,7 +63,8 @@ class PatchShader(nn.Module):
         Memory: C N V numbers for each eye and 4 M L V of axes: many points want to come in pieces.
         Raises InputError if shapes do not fit, what it needs is not given, or texture coordinates are not finite.
         """
-        if uv.shape != (len(frames), 2) or frames.shape[1:] != (3, 3):
+        # Not `len`, which would make a constant of the number of points in a traced graph.
+        if uv.shape != (frames.shape[0], 2) or frames.shape[1:] != (3, 3):
             raise InputError(
                 f"uv have shape {list(uv.shape)} and frames {list(frames.shape)}: give [V, 2] and [V, 3, 3]"
             )
