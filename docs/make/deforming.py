@@ -319,10 +319,9 @@ COARSE, FINE, TILES = 16, 14, (6.0, 7.6)
 @functools.cache
 def covering(gloss: str | None = None) -> Transfer:
     """A waffle to be read at pixels, diffuse or of glossy paint in four factors."""
-    # A texel covers many pixels here: lobes that interpolate have no steps.
     if gloss is None:
-        return bake_patch(samples.waffle(96), size=64, smooth=True, albedo=0.7)
-    return bake_patch(samples.waffle(96), size=64, smooth=True, albedo=0.15, gloss=gloss, specular=0.5, factors=4)
+        return bake_patch(samples.waffle(96), size=128, albedo=0.7)
+    return bake_patch(samples.waffle(96), size=96, albedo=0.15, gloss=gloss, specular=0.5, factors=4)
 
 
 @functools.cache

@@ -194,3 +194,18 @@ def test_a_laid_gloss_follows_a_pose():
     frames = turn.expand(len(positions), 3, 3)
     found = shader(rest)(a_light(), turn, eye=turn @ EYE, frames=frames, positions=positions @ turn.mT)
     torch.testing.assert_close(found, wanted, rtol=0, atol=1e-9 * float(wanted.abs().max()))
+
+
+@pytest.mark.usefixtures("untyped")
+def test_it_is_traced_for_any_number_of_points_and_lights():
+    patch = PatchShader(random_map(3, 2, lobes=1, order=3, dtype=torch.float32))
+
+    def given(lights, points):
+        frames = torch.eye(3).expand(points, 3, 3).contiguous()
+        return torch.randn(lights, 9, 3), torch.rand(points, 2), frames
+
+    batch, points = torch.export.Dim("B"), torch.export.Dim("V", min=2)
+    sizes = ({0: batch}, {0: points}, {0: points})
+    program = torch.export.export(patch, given(2, 5), dynamic_shapes=sizes, strict=False)
+    other = given(3, 11)
+    torch.testing.assert_close(program.module()(*other), patch(*other), rtol=1e-5, atol=1e-5)

@@ -69,7 +69,6 @@ def test_points_without_a_gloss_refuse_what_is_of_gloss():
     [
         {},
         {"bounces": 2},
-        {"projection": "zero", "bounces": 1},
         {"frame": "incident", "bounces": 1},
         {"factors": 4, "bounces": 1},
         {"frame": "visibility"},
