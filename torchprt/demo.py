@@ -15,7 +15,7 @@ from torchprt.files import atomic, make_folder
 from torchprt.scene import Material, samples
 from torchprt.shade import display, shader
 from torchprt.transfer import Transfer, save
-from torchprt.transport import bake
+from torchprt.transport import bake, bake_neighbourhood
 from torchprt.words import count
 
 SIZE = (420, 420)
@@ -24,11 +24,13 @@ EXPOSURE = -1.7
 STONE = 0.6
 # Order of the glossy part: of the light, and toward the eye.
 GLOSS = 6
+# Vertices along an edge of the plane under the ring, and nodes around the glider.
+RING, NODES = 128, 1 << 14
 Say = Callable[[str], None]
 
 
 def run(folder: Path, say: Say = print) -> None:
-    """Writes transfer, pictures, a lit model and an ONNX graph into `folder`; about two minutes of one core.
+    """Writes transfer, pictures, a lit model and ONNX graphs into `folder`; about three minutes of one core.
 
     Raises InputError if the folder cannot be made.
     """
@@ -64,6 +66,7 @@ def run(folder: Path, say: Say = print) -> None:
     say("The sculpture with its light as vertex colours, for any viewer: sculpture.ply")
     _export(transfer, folder / "sculpture.onnx", say)
     _gloss(environment, folder, say)
+    _beyond(folder, say)
     say(f"To turn it with the mouse: torchprt export {folder / 'sculpture.safetensors'} -o page --web")
 
 
@@ -84,6 +87,46 @@ def _gloss(environment: Tensor, folder: Path, say: Say) -> None:
     preview.save_png(eyes(transfer, lamps), folder / "eyes.png")
     say("The eye moves, the light stays: eyes.png")
     _export(transfer, folder / "teapot.onnx", say)
+
+
+def _beyond(folder: Path, say: Say) -> None:
+    """Light by way of mirrors, shadows on what was never seen: the last part of `run`."""
+    ring = bake(samples.ring_on_plane(RING), order=GLOSS, rays=1024, bounces=2)
+    save(ring, folder / "ring.safetensors")
+    preview.save_png(caustics(ring), folder / "ring.png")
+    say(f"A gold ring, whose caustic follows the light, {count(ring.vertices, 'receiver')}: ring.safetensors, ring.png")
+    around = bake_neighbourhood(samples.glider(), grid=NODES, rays=512, bounces=1)
+    save(around, folder / "glider.safetensors")
+    preview.save_png(gliding(around), folder / "glider.png")
+    say("A glider drags its shadow over land that it has never seen: glider.safetensors, glider.png")
+
+
+def caustics(transfer: Transfer) -> Tensor:
+    """A ring on a plane under three turns of one environment."""
+    environment = preview.built_in_environment("studio", transfer.order)
+    studio = preview.Studio(transfer, shader(transfer), environment, size=SIZE)
+    camera = preview.frame(transfer.positions, (0.25, 0.85, 1.0), target=(0.0, 0.1, 0.0), distance=5.0)
+    yaws = [40.0, 160.0, 280.0]
+    pictures = [studio.picture(camera, sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0]))) for yaw in yaws]
+    return preview.sheet(pictures, [f"yaw {yaw:.0f}" for yaw in yaws], columns=3)
+
+
+def gliding(around: Transfer) -> Tensor:
+    """A glider at three places over land, after figure 7 of the 2002 paper."""
+    sun = light.disc((-0.55, 1.0, 0.35), math.radians(9), (2.3, 1.95, 1.5), around.order, normalise=True)
+    sky = light.constant((0.17, 0.22, 0.34), around.order)
+    cast = preview.Cast(
+        around,
+        samples.terrain(100).objects[0].mesh,
+        preview.Environment("sun", (sun + sky).float()),
+        model=bake(samples.glider(), order=around.order, rays=128, progress=False),
+        camera=preview.Camera(eye=(1.6, 3.9, 6.6), target=(-0.1, 0.15, 0.1), field=33.0),
+        size=SIZE,
+        exposure=-0.3,
+    )
+    keys = torch.tensor([[-1.9, 0.9, -1.0, 75.0, 0.0, 0.0], [1.2, 0.9, 1.2, 30.0, 0.0, 20.0]])
+    pictures = [cast.picture(pose[None]) for pose in preview.along(keys, 3)]
+    return preview.sheet(pictures, ["", "", ""], columns=3)
 
 
 def transport(transfer: Transfer, lamps: Tensor) -> Tensor:

@@ -3,12 +3,14 @@
 import math
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 import trimesh
 from environments import save_exr
 from transfers import stored
 
+from torchprt.shade import shader
 from torchprt.transfer import load
 
 
@@ -131,3 +133,39 @@ def test_seed_and_threads_do_what_they_say(done, corner):
     assert torch.equal(stored(first), stored(again))
     assert not torch.equal(stored(first), stored(other))
     assert (first.seed, other.seed) == (1, 2)
+
+
+def test_every_mesh_may_have_a_material_of_its_own(done, refused, folder, tmp_path):
+    plate = trimesh.creation.box((6, 0.1, 6), trimesh.transformations.translation_matrix([0, -1.2, 0])).subdivide()
+    plate.export(tmp_path / "plate.ply")
+    ball, out = folder / "ball.ply", tmp_path / "a.safetensors"
+    said = done("bake", f"{tmp_path / 'plate.ply'}=0.8,0.4,0.2", f"{ball}=mirror:gold", "-o", out, "--rays", 32)
+    assert "ball.ply (mirror)" in said
+    assert "320 faces of mirrors" in said
+    transfer = load(out)
+    assert (transfer.vertices, transfer.channels) == (len(plate.vertices), 3)
+    assert transfer.albedo[0].tolist() == pytest.approx([0.8, 0.4, 0.2])
+    said = done("bake", tmp_path / "plate.ply", f"{ball}=ggx:0.4", "-o", out, "--rays", 16, "--bounces", 1)
+    assert "2 objects: plate.ply (26), ball.ply (162)" in said
+    assert load(out).layers["exit"].signal.shape[0] == 162
+    refused("every mesh says its own", arguments=["bake", f"{ball}=mirror", "-o", out, "--albedo", 0.5])
+    refused("no mirror: write mirror", arguments=["bake", f"{ball}=mirror:tin", tmp_path / "plate.ply", "-o", out])
+    # A mirror alone records nothing, on a ground it throws its caustic.
+    refused("only blockers and mirrors", arguments=["bake", ball, "--material", "mirror", "-o", out])
+    done("bake", ball, "--material", "mirror", "--ground", "-o", out, "--rays", 8, "--bounces", 0)
+    assert load(out).receivers.ground().all()
+
+
+@pytest.mark.usefixtures("untyped")
+def test_one_of_several_objects_is_exported_alone(done, refused, folder, tmp_path):
+    trimesh.creation.box(transform=trimesh.transformations.translation_matrix([0, -3, 0])).export(tmp_path / "box.ply")
+    bake = tmp_path / "a.safetensors"
+    done("bake", folder / "ball.ply", tmp_path / "box.ply", "-o", bake, "--rays", 16, "--bounces", 1)
+    done("export", bake, "-o", tmp_path / "box.onnx", "--only", "box.ply")
+    graph = onnxruntime.InferenceSession(tmp_path / "box.onnx")
+    assert graph.get_outputs()[0].shape[1] == 8
+    transfer = load(bake)
+    alone = transfer.only("box.ply")
+    light = torch.randn(transfer.order**2, 3)
+    torch.testing.assert_close(shader(alone)(light), shader(transfer)(light)[162:])
+    refused("has no object 'cup.ply'", arguments=["export", bake, "-o", tmp_path / "cup.onnx", "--only", "cup.ply"])

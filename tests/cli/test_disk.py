@@ -23,8 +23,9 @@ import torchprt
 from torchprt import measure
 from torchprt.cli.command import VERBS
 from torchprt.scene import height_field
+from torchprt.scene import load as read_scene
 from torchprt.transfer import save
-from torchprt.transport import bake_patch
+from torchprt.transport import bake_neighbourhood, bake_patch
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of the size of files")
 
@@ -51,6 +52,12 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
     "render": [
         *((f"a{suffix}", [BALL, *LAMP, *SIZE]) for suffix in (".png", ".jpg", ".webp")),
         *((f"b{suffix}", [BALL, *LAMP, *SIZE, "--turntable", "4"]) for suffix in (".gif", ".webp", ".mp4", ".png")),
+    ],
+    "neighbourhood": [
+        ("a.safetensors", ["ball.ply", "--grid", "8", "--rays", "16", "--threads", "1"]),
+    ],
+    "cast": [
+        *((f"a{suffix}", ["around.safetensors", "ball.ply", *LAMP, *SIZE]) for suffix in (".png", ".gif")),
     ],
     "tradeoff": [("sweep", [BALL, *LAMP])],
     "demo": [("demo", [])],
@@ -87,6 +94,8 @@ def inputs(folder, tmp_path_factory):
     Image.fromarray(heights).save(made / "relief.png")
     mesh = height_field(torch.from_numpy(heights / 255.0), 0.1, "relief")
     save(bake_patch(mesh, size=4, lobes=1, order=3, rays=16, threads=1, progress=False), made / "patch.safetensors")
+    around = bake_neighbourhood(read_scene(made / "ball.ply"), grid=8, rays=16, threads=1, progress=False)
+    save(around, made / "around.safetensors")
     corners = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for y in range(9) for x in range(9))
     first = [9 * y + x + 1 for y in range(8) for x in range(8)]
     faces = "".join("f " + " ".join(f"{a + step}/{a + step}" for step in (0, 1, 10, 9)) + "\n" for a in first)

@@ -92,9 +92,9 @@ def test_the_recipe_keeps_to_the_error_in_the_whole_scene(error, least):
 
 
 def test_bytes_are_fewer_where_they_are_made_least():
-    scene = samples.plane_and_blocker(80)
+    scene = samples.plane_and_blocker(60)
     quick, small = (
-        plan(scene, sun(7), error=0.04, least=least, count=150).predicted["bytes"]
+        plan(scene, sun(5), error=0.06, least=least, count=100).predicted["bytes"]
         for least in ("milliseconds", "bytes")
     )
     assert small < 0.8 * quick
@@ -102,14 +102,14 @@ def test_bytes_are_fewer_where_they_are_made_least():
 
 def test_a_limit_alone_is_used_up_for_the_least_error():
     scene = samples.plane_and_blocker(20)
-    errors = [plan(scene, sun(7), bytes=bytes).predicted["error"] for bytes in (8_000, 40_000)]
+    errors = [plan(scene, sun(6), bytes=bytes, count=120).predicted["error"] for bytes in (8_000, 40_000)]
     assert errors[1] < 0.5 * errors[0]
 
 
 def test_a_glossy_scene_gets_a_frame_that_holds_its_gloss():
     objects = samples.plane_and_blocker(7).objects
     scene = Scene([Object(objects[0].mesh, Material(0.2, gloss="phong:10", specular=0.5)), *objects[1:]])
-    found = plan(scene, sun(4), error=0.1)
+    found = plan(scene, sun(3), error=0.1, count=60)
     assert found.recipe.frame in ("exit", "visibility")
     assert found.predicted["bound"] <= 0.1
 

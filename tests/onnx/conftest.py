@@ -25,7 +25,7 @@ for line in sys.stdin:
     found = []
     try:
         for batch in batches:
-            shapes = {i.name: [batch if size == "B" else size for size in i.shape] for i in session.get_inputs()}
+            shapes = {i.name: [{"B": batch, "R": 3}.get(size, size) for size in i.shape] for i in session.get_inputs()}
             feed = {name: np.ones(shape, "f4") for name, shape in shapes.items()}
             (radiance,) = session.run(None, feed)
             found.append([list(radiance.shape), str(radiance.dtype)])

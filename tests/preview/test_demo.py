@@ -1,6 +1,7 @@
 """Does the demo write everything that it announces?"""
 
 import re
+import warnings
 
 import PIL.Image
 import pytest
@@ -11,7 +12,7 @@ from torchprt.errors import InputError
 from torchprt.light import read
 from torchprt.scene import samples
 from torchprt.transfer import load
-from torchprt.transport import bake
+from torchprt.transport import GridWarning, bake, bake_neighbourhood
 
 
 @pytest.fixture
@@ -21,6 +22,12 @@ def small(monkeypatch):
     def few(scene, **options):
         return bake(scene, **{**options, "rays": 16, "bounces": min(options.get("bounces", 0), 2), "progress": False})
 
+    def few_nodes(scene, **options):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GridWarning)
+            return bake_neighbourhood(scene, **{**options, "rays": 32, "progress": False})
+
+    terrain = samples.terrain
     organic, square, box, teapot = samples.organic, samples.plane_and_blocker, samples.coloured_box, samples.teapot
     monkeypatch.setattr(demo, "bake", few)
     monkeypatch.setattr(demo, "SIZE", (180, 120))
@@ -29,6 +36,10 @@ def small(monkeypatch):
     monkeypatch.setattr(demo.samples, "coloured_box", lambda _: box(8))
     monkeypatch.setattr(demo.samples, "teapot", lambda _, material: teapot(8000, material))
     monkeypatch.setattr(demo, "GLOSS", 3)
+    monkeypatch.setattr(demo, "RING", 24)
+    monkeypatch.setattr(demo, "NODES", 512)
+    monkeypatch.setattr(demo, "bake_neighbourhood", few_nodes)
+    monkeypatch.setattr(demo.samples, "terrain", lambda _: terrain(24))
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -47,7 +58,7 @@ def test_writes_every_file_that_it_names_and_no_other(small, untyped, tmp_path):
     demo.run(tmp_path / "new" / "demo", said.append)
     written = {path.name for path in (tmp_path / "new" / "demo").iterdir()}
     assert written == set(re.findall(r"[a-z]+\.(?:exr|safetensors|png|ply|onnx)", " ".join(said)))
-    assert len(written) == 12
+    assert len(written) == 16
     for path in (tmp_path / "new" / "demo").glob("*.png"):
         with PIL.Image.open(path) as picture:
             # More than a white sheet with black words.

@@ -1,5 +1,6 @@
 """Is the folder whole or not there, and are its mesh, graph and lights those of the bake?"""
 
+import dataclasses
 import gzip
 import importlib
 import json
@@ -128,6 +129,21 @@ def test_the_folder_holds_the_bake(make_transfer, tmp_path, untyped, lamps):
     assert said["environments"][0]["lamp"] == {"direction": direction.tolist(), "colour": colour.tolist()}
     # As every picture of this light.
     assert said["environments"][0]["exposure"] == pytest.approx(automatic_exposure(torch.from_numpy(light)), abs=0.01)
+
+
+def test_mirrors_of_the_scene_are_a_mesh_beside(make_transfer, tmp_path, no_graph, lamps):
+    transfer = make_transfer(side=4, order=4)
+    sheet = {"positions": torch.rand(3, 3), "normals": torch.eye(3), "reflectance": torch.full((3, 3), 0.5)}
+    sheet["faces"] = torch.tensor([[0, 1, 2]])
+    receivers = transfer.receivers.replace(**{f"mirror_{name}": value for name, value in sheet.items()})
+    export(dataclasses.replace(transfer, receivers=receivers), tmp_path / "page", environments=lamps, exact=True)
+    scene = json.loads((tmp_path / "page" / "scene.json").read_text())
+    assert scene["mirrors"]
+    assert scene["download"] > (tmp_path / "page" / "mirrors.glb").stat().st_size
+    mesh = next(iter(trimesh.load(tmp_path / "page" / "mirrors.glb", process=False).geometry.values()))
+    np.testing.assert_array_equal(np.asarray(mesh.vertices, np.float32), sheet["positions"].numpy())
+    export(transfer, tmp_path / "plain", environments=lamps)
+    assert not (tmp_path / "plain" / "mirrors.glb").exists()
 
 
 def test_packing_is_measured_and_said_and_exact_packs_nothing(make_transfer, tmp_path, untyped, lamps):

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 def bake(
     mesh: Annotated[
         list[Path],
-        typer.Argument(help="Meshes that receive light: .ply .obj .glb .gltf .stl .off .usd; or a scene, .toml"),
+        typer.Argument(
+            help="Meshes that receive light (.ply .obj .glb .gltf .stl .off .usd), each alone or as MESH=MATERIAL, "
+            "ring.ply=mirror:gold; or a scene, .toml."
+        ),
     ],
     output: options.Output,
     order: bake_options.Order = None,
@@ -32,7 +35,6 @@ def bake(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
-    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
@@ -80,7 +82,6 @@ def bake(
         specular=specular,
         two_sided=two_sided,
         blocker=blocker,
-        mirror=mirror,
         ground=ground,
         ground_albedo=ground_albedo,
     )

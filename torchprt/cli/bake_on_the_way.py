@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from torchprt.transfer import Transfer
 
 # Options of the scene; all others are arguments of the bake.
-OF_SCENE = ("albedo", "material", "specular", "two_sided", "blocker", "mirror", "ground", "ground_albedo")
+OF_SCENE = ("albedo", "material", "specular", "two_sided", "blocker", "ground", "ground_albedo")
 
 
 class Source:

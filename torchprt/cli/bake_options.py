@@ -16,7 +16,7 @@ from torchprt.cli.report import complain, describe, say
 from torchprt.errors import InputError
 
 if TYPE_CHECKING:
-    from torchprt.scene import Scene
+    from torchprt.scene import Object, Scene
     from torchprt.transfer import Transfer
 
 ORDER, RAYS, BOUNCES = 5, 1024, "auto"
@@ -88,15 +88,6 @@ TwoSided = Annotated[
 Blocker = Annotated[
     list[Path] | None,
     typer.Option("--blocker", rich_help_panel=SCENE, help="A mesh that only casts shadows (repeatable)."),
-]
-Mirror = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--mirror",
-        rich_help_panel=SCENE,
-        metavar="MESH[=METAL]",
-        help="A mesh that is a mirror and records nothing (repeatable): ring.ply, ring.ply=gold, ring.ply=.95,.64,.54.",
-    ),
 ]
 Ground = Annotated[
     str | None,
@@ -172,7 +163,6 @@ def scene_of(
     specular: str | None,
     two_sided: bool | None,
     blocker: Sequence[Path] | None,
-    mirror: Sequence[str] | None,
     ground: str | None,
     ground_albedo: str | None,
 ) -> Scene:
@@ -182,11 +172,10 @@ def scene_of(
         raise InputError(f"--ground-albedo is '{ground_albedo}', but there is no ground: give --ground too")
     if ground is not None and ground != LOWEST:
         (height,) = options.numbers(ground, 1, "--ground")
-    colour, surface = options.albedo(albedo), options.surface(material, specular)
-    from torchprt.scene import Scene, load_objects, mirror_of
+    common = {"albedo": options.albedo(albedo), "material": options.surface(material, specular), "two_sided": two_sided}
+    from torchprt.scene import Scene
 
-    objects = load_objects(meshes, albedo=colour, two_sided=two_sided, blockers=blocker or (), material=surface)
-    objects += [mirror_of(*_mirror(text)) for text in mirror or ()]
+    objects = _objects(meshes, common, blocker or ())
     if ground is None:
         return Scene(objects)
     # A mirror alone is no scene, on a ground it is.
@@ -195,13 +184,37 @@ def scene_of(
     return Scene([*objects, *ground_under(objects, height, floor)])
 
 
-def _mirror(text: str) -> tuple[str, str]:
-    """The mesh of a --mirror and its material in words."""
-    name, equals, metal = text.rpartition("=")
-    # A file may have the sign in its name.
-    if not equals or Path(text).exists():
-        return text, "mirror"
-    return name, f"mirror:{metal}"
+def _objects(meshes: Sequence[Path], common: dict[str, Any], blockers: Sequence[Path]) -> list[Object]:
+    """The objects of meshes, each of its own material if one is written behind it, as in pot.ply=ggx:0.3."""
+    from torchprt.scene import is_scene, load_objects
+
+    parts = [_own(each) for each in meshes]
+    if all(said is None for _, said in parts):
+        return load_objects(meshes, blockers=blockers, **common)
+    given = [f"--{name.replace('_', '-')}" for name, value in common.items() if value is not None]
+    if given and all(said is not None for _, said in parts):
+        raise InputError(f"{given[0]} is given, but every mesh says its own material: leave one of the two out")
+    found: list[Object] = []
+    for name, said in parts:
+        if is_scene(name):
+            raise InputError(f"{name} is a scene, which says its meshes and their materials itself: give it alone")
+        found += load_objects(name, **(common if said is None else _said(said)))
+    return [*found, *load_objects((), blockers=blockers)]
+
+
+def _own(mesh: Path) -> tuple[Path, str | None]:
+    """The file of a mesh and what is written behind it; a file may have the sign in its name."""
+    name, equals, said = str(mesh).rpartition("=")
+    return (Path(name), said) if equals and not mesh.exists() else (mesh, None)
+
+
+def _said(text: str) -> dict[str, Any]:
+    """An albedo (one number or three), or a material."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return {"material": options.surface(text, None)}
+    return {"albedo": numbers[0] if len(numbers) == 1 else numbers}
 
 
 def baked(

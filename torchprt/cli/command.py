@@ -14,6 +14,7 @@ import typer
 
 from torchprt.cli.bake import bake
 from torchprt.cli.bake_options import GroundCommand
+from torchprt.cli.cast import cast
 from torchprt.cli.completion import completed
 from torchprt.cli.compress import compress
 from torchprt.cli.demo import demo
@@ -22,6 +23,7 @@ from torchprt.cli.fit import fit
 from torchprt.cli.info import info
 from torchprt.cli.lay import lay
 from torchprt.cli.light import light
+from torchprt.cli.neighbourhood import neighbourhood
 from torchprt.cli.patch import patch
 from torchprt.cli.plan import plan
 from torchprt.cli.preview import preview
@@ -49,6 +51,8 @@ VERBS: tuple[Callable[..., None], ...] = (
     fit,
     patch,
     lay,
+    neighbourhood,
+    cast,
     render,
     preview,
     demo,

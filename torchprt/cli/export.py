@@ -17,6 +17,7 @@ from torchprt.files import check_writable
 from torchprt.words import count
 
 if TYPE_CHECKING:
+    from torchprt.onnx import ExportReport
     from torchprt.transfer import Transfer
 
 
@@ -60,6 +61,10 @@ def export(
         typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
     ] = None,
     with_ground: bake_options.WithGround = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="One of several objects, by the name of its mesh in `torchprt info` (repeatable)."),
+    ] = None,
 ) -> None:
     """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
     import torchprt as prt
@@ -87,6 +92,11 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
+    if "receivers" in loaded.needs and not web and ends == ".onnx":
+        _refuse(graph, "the graph of a neighbourhood")
+        return _told(prt.onnx.export_neighbourhood(loaded, output))
+    if only:
+        loaded = loaded.only(*only)
     if with_ground and not web and ends == ".onnx":
         raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
     if ends != ".onnx" and not with_ground:
@@ -104,6 +114,10 @@ def export(
     report = prt.onnx.export(
         loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken
     )
+    _told(report)
+
+
+def _told(report: ExportReport) -> None:
     say(report)
     if report.parity is not None:
         say(report.parity)

@@ -50,7 +50,6 @@ def plan(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
-    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
 ) -> None:
@@ -80,7 +79,6 @@ def plan(
         specular=specular,
         two_sided=two_sided,
         blocker=blocker,
-        mirror=mirror,
         ground=ground,
         ground_albedo=ground_albedo,
     )

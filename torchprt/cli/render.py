@@ -73,7 +73,6 @@ def render(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
-    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
 ) -> None:
@@ -119,7 +118,6 @@ def render(
     given |= {
         "two_sided": two_sided,
         "blocker": blocker,
-        "mirror": mirror,
         "ground": ground,
         "ground_albedo": ground_albedo,
     }

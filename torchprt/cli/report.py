@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchprt.files import CannotWrite
@@ -68,8 +69,9 @@ def describe(transfer: Transfer) -> str:
     if transfer.bounces:
         parts.append(count(transfer.bounces, "bounce"))
     parts.append(f"order {transfer.order}")
-    parts += [_functions(layer) for layer in transfer.eye_layers.values()]
-    parts += [count(transfer.channels, "channel"), count(transfer.vertices, "vertex")]
+    parts += [_functions(each) for each in transfer.layers.values() if each.needs]
+    parts += [count(transfer.channels, "channel")]
+    parts.append(count(transfer.vertices, "node" if "receivers" in transfer.needs else "vertex"))
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
     if counts:
         parts[-1] += f" ({max(counts)} glossy)"
@@ -88,17 +90,37 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    if "spacing" in place:
+        lines = _grid(place)
+    objects = [each for each in place.get("objects", ()) if each["side"] == "front"]
+    if len(objects) > 1:
+        told = [f"{Path(each['name']).name} ({each['rows'][1] - each['rows'][0]})" for each in objects]
+        lines.append(f"{count(len(objects), 'object')}: {', '.join(told)}")
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
     if "mirror_faces" in transfer.receivers.tensors():
-        lines[0] += f"; {count(len(transfer.receivers.tensors()['mirror_faces']), 'face')} of mirrors beside them"
+        faces = transfer.receivers.tensors()["mirror_faces"]
+        lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
     if transfer.cut:
         lines.append(f"{transfer.cut:.2g} of the light is cut off between mirrors")
     lines += _sight(transfer)
     for name, layer in transfer.layers.items():
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
         lines += [f"{name}: {line}" for line in told]
+    return lines
+
+
+def _grid(place: dict[str, Any]) -> list[str]:
+    """Where a grid stands around its object, and by what rule."""
+    last = [o + s * (n - 1) for o, s, n in zip(place["origin"], place["spacing"], place["shape"], strict=True)]
+    corners = " to ".join("({:.3g}, {:.3g}, {:.3g})".format(*corner) for corner in (place["origin"], last))
+    lines = [f"grid of {'x'.join(map(str, place['shape']))} nodes, {corners}"]
+    if place["share"] is not None:
+        lines.append(
+            f"its box encloses the shadow: on its border the object takes {place['border']:.1%} of the light of what "
+            f"faces up at most, {place['share']:.1%} were allowed"
+        )
     return lines
 
 
@@ -125,6 +147,8 @@ def _functions(layer: Layer) -> str:
     about, (_, _, rows, _) = layer.metadata(), layer.signal.shape
     if "reflectance" in layer.needs:
         return f"incident radiance of order {math.isqrt(rows)}"
+    if "receivers" in layer.needs:
+        return f"what arrives around it of order {math.isqrt(rows)}"
     if "output_order" not in about:
         if "factor_error" in about:
             return count(rows, "factor")
@@ -137,6 +161,12 @@ def _functions(layer: Layer) -> str:
 def _surface(layer: Layer) -> list[str]:
     """Albedo, materials, and how well its functions of the eye hold them."""
     about = layer.metadata()
+    if "receivers" in layer.needs:
+        error = about["interpolation_error"]
+        lines = [] if error is None else [f"diffuse receivers between nodes err by {error:.2%} (RMS), rays included"]
+        if about["inside"]:
+            lines.append(f"{count(about['inside'], 'node')} in the object, filled from those around")
+        return lines
     if "materials" not in about:
         return [f"{layer.weight_name} {_weight(layer.weight)}"]
     names = ", ".join(about["materials"]) or "none"

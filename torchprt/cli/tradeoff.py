@@ -71,7 +71,6 @@ def tradeoff(
     specular: bake_options.Specular = None,
     two_sided: bake_options.TwoSided = None,
     blocker: bake_options.Blocker = None,
-    mirror: bake_options.Mirror = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels of lights.")] = False,
@@ -81,7 +80,7 @@ def tradeoff(
     Nothing is measured twice. Stopped with Ctrl-C, the same command goes on.
     """
     given: dict[str, Any] = {"albedo": albedo, "material": material, "specular": specular, "two_sided": two_sided}
-    given |= {"blocker": blocker, "mirror": mirror, "ground": ground, "ground_albedo": ground_albedo}
+    given |= {"blocker": blocker, "ground": ground, "ground_albedo": ground_albedo}
     points = [options.numbers(each, 3, "--eye") for each in eye or []]
     lights = list(dict.fromkeys(light or LIGHTS))
 

@@ -5,6 +5,7 @@ from .contract import ParityError
 from .describe import describe
 from .export import ExportReport, export
 from .layers import LayerGraph, layer_graph
+from .neighbourhood import compare_neighbourhood, export_neighbourhood
 from .parity import ParityReport, compare
 from .signal import SignalGraph, arranged, by_channel, signal_graph
 from .zonal import ZonalGraph
@@ -20,8 +21,10 @@ __all__ = [
     "arranged",
     "by_channel",
     "compare",
+    "compare_neighbourhood",
     "describe",
     "export",
+    "export_neighbourhood",
     "layer_graph",
     "signal_graph",
 ]

@@ -9,10 +9,11 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import onnx
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchprt.errors import InputError
 from torchprt.files import atomic
@@ -131,18 +132,29 @@ def _trace(planned: Plan) -> onnx.ModelProto:
     if "rotation" in examples:
         examples["rotation"] += torch.eye(3)
     batch = torch.export.Dim("B")
+    free = {name: None if name in planned.single else {0: batch} for name in examples}
+    return traced(planned.graph().eval(), examples, free)
+
+
+def traced(
+    module: nn.Module,
+    examples: dict[str, Tensor],
+    free: dict[str, dict[int, Any] | None],
+    about: Mapping[str, str] = INPUTS,
+    arguments: Mapping[str, str] = ARGUMENTS,
+) -> onnx.ModelProto:
+    """The graph of `module`, called with `examples` by name, whose `free` dimensions have a name; `about`: what inputs
+    and outputs are; `arguments`: those of the module whose input has another name."""
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
-            planned.graph().eval(),
-            kwargs={ARGUMENTS.get(name, name): value for name, value in examples.items()},
+            module,
+            kwargs={arguments.get(name, name): value for name, value in examples.items()},
             dynamo=True,
             verbose=False,
             opset_version=OPSET,
             input_names=list(examples),
             output_names=["radiance"],
-            dynamic_shapes={
-                ARGUMENTS.get(name, name): None if name in planned.single else {0: batch} for name in examples
-            },
+            dynamic_shapes={arguments.get(name, name): sizes for name, sizes in free.items()},
         )
     assert program is not None
     # The exporter names values after operators of torch, of which `view` is one.
@@ -158,7 +170,7 @@ def _trace(planned: Plan) -> onnx.ModelProto:
     model.graph.name = "torchprt"
     model.producer_name, model.producer_version = "torchprt", VERSION
     for value in (*model.graph.input, *model.graph.output):
-        value.doc_string = INPUTS[value.name]
+        value.doc_string = about[value.name]
     return model
 
 
@@ -169,7 +181,7 @@ def _quiet() -> Iterator[None]:
     level = registration.level
     with warnings.catch_warnings():
         # All inputs share the dynamic size B; the exporter names it once and warns of the others.
-        warnings.filterwarnings("ignore", message=r"# The axis name: B will not be used", category=UserWarning)
+        warnings.filterwarnings("ignore", message=r"# The axis name: [BR] will not be used", category=UserWarning)
         # torch 2.13 copies its own deprecated tree specifications.
         warnings.filterwarnings("ignore", message=r".*LeafSpec.* is deprecated", category=FutureWarning)
         # One line for each torchvision operator, if torchvision is not installed.

@@ -14,7 +14,7 @@ OPSET = 18
 ALLOWED = frozenset({
     "Abs", "Add", "Atan", "Cast", "Clip", "Concat", "Constant", "Cos", "Div", "Equal", "Exp", "Expand",
     "Flatten", "Gather", "Gemm", "Greater", "Identity", "Less", "MatMul", "Max", "Min", "Mul", "Neg",
-    "Pow", "Reciprocal", "ReduceSum", "Reshape", "Shape", "Sigmoid", "Sin", "Slice", "Softmax", "Split",
+    "Pow", "Range", "Reciprocal", "ReduceSum", "Reshape", "Shape", "Sigmoid", "Sin", "Slice", "Softmax", "Split",
     "Sqrt", "Squeeze", "Sub", "Tanh", "Tile", "Transpose", "Unsqueeze", "Where",
 })  # fmt: skip
 

@@ -134,8 +134,8 @@ def compare(
                 found = torch.from_numpy(session.run(["radiance"], feed | still)[0])
                 for radiance, index in zip(found, chosen, strict=True):
                     difference = (radiance.double() - wanted[index]) * weights[index]
-                    rms = _worse(rms, _ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
-                    largest = _worse(largest, _ratio(difference.abs().max(), wanted[index].abs().max()))
+                    rms = worse(rms, ratio(difference.square().mean().sqrt(), wanted[index].square().mean().sqrt()))
+                    largest = worse(largest, ratio(difference.abs().max(), wanted[index].abs().max()))
     count *= len(batches) * len(poses)
     return ParityReport(rms, largest, tolerance(shader.order, module), count, tuple(batches))
 
@@ -224,10 +224,10 @@ def _cases(names: list[str], module: Module, shader: Shader | FixedLightShader, 
     return cases
 
 
-def _ratio(error: Tensor, size: Tensor) -> float:
+def ratio(error: Tensor, size: Tensor) -> float:
     # Black must stay black exactly; nothing is relative to zero.
     return float(error / size) if size > 0 else (0.0 if error == 0 else math.inf)
 
 
-def _worse(worst: float, value: float) -> float:
+def worse(worst: float, value: float) -> float:
     return value if math.isnan(value) else max(worst, value)

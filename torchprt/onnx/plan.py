@@ -92,7 +92,7 @@ def plan(
     if fix_eye is not None:
         place = {name: _eye(fix_eye)}
         columns = max(max(layer.signal.shape[1], layer.weight.shape[1]) for layer in transfer.layers.values())
-        _check_weights(columns * transfer.order**2 * transfer.vertices + texels)
+        check_weights(columns * transfer.order**2 * transfer.vertices + texels)
         return Plan(
             inputs,
             transfer.vertices,
@@ -108,7 +108,7 @@ def plan(
             raise InputError("fix_light is given, so the graph takes no environment: leave source at 'light'")
         light = _light(fix_light, transfer.order)
         rows = sum(receivers * rows for receivers, _, rows, _ in seen)
-        _check_weights(3 * rows + 12 * sum(shape[0] for shape in seen) + 5 * transfer.vertices)
+        check_weights(3 * rows + 12 * sum(shape[0] for shape in seen) + 5 * transfer.vertices)
         return Plan(
             {name: (3,)},
             transfer.vertices,
@@ -122,7 +122,7 @@ def plan(
     # Lobes beside a layer that stands still stand still.
     held = transfer if chosen is not None else at_rest(transfer)
     estimated = ESTIMATE * transfer.vertices if chosen == "positions" else 0
-    _check_weights(_numbers(held) + texels + estimated, glossy="eye" in needs)
+    check_weights(_numbers(held) + texels + estimated, glossy="eye" in needs)
     if chosen is not None:
         inputs[chosen] = (transfer.vertices, 3, 3) if chosen == "frames" else (transfer.vertices, 3)
         about["pose"] = chosen
@@ -212,7 +212,7 @@ def _numbers(transfer: Transfer) -> int:
     return stored + sum(12 * layer.signal.shape[0] + 2 * transfer.vertices for layer in transfer.eye_layers.values())
 
 
-def _check_weights(count: int, glossy: bool = False) -> None:
+def check_weights(count: int, glossy: bool = False) -> None:
     total = 4 * count
     if total > LIMIT:
         other = ", fix the eye or the light" if glossy else ""

@@ -5,6 +5,7 @@ from .asset_light import keep_light, save_lit_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
+from .cast import Cast, along, motions
 from .environment import Environment, automatic_exposure, built_in_environment, photograph, seen_along
 from .error_colours import error_colours
 from .glb import save_glb
@@ -29,6 +30,7 @@ __all__ = [
     "AssetWarning",
     "Background",
     "Camera",
+    "Cast",
     "Environment",
     "Lobe",
     "Orbit",
@@ -38,6 +40,7 @@ __all__ = [
     "Session",
     "Still",
     "Studio",
+    "along",
     "automatic_exposure",
     "built_in_environment",
     "check_video",
@@ -51,6 +54,7 @@ __all__ = [
     "lobe",
     "look",
     "look_at_light",
+    "motions",
     "photograph",
     "save_gif",
     "save_glb",

@@ -16,7 +16,7 @@ from .paint import Paint
 from .points import Points
 from .reading import read_mesh
 from .rig import Rig
-from .scene import Requirements, Scene, load, load_objects, mirror_of
+from .scene import Requirements, Scene, is_scene, load, load_objects, mirror_of
 from .scene_file import read_scene
 from .surface import Look, Surface, read_surface, texture_albedo
 
@@ -39,6 +39,7 @@ __all__ = [
     "bend",
     "file_material",
     "height_field",
+    "is_scene",
     "load",
     "load_objects",
     "make_mesh",

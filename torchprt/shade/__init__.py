@@ -11,8 +11,11 @@ from .fixed_light import FixedLightShader
 from .fixed_orders import fixed_orders
 from .incident import IncidentLayer, with_material
 from .layer import DiffuseLayer, LayerModule, layer_module
+from .light_field import under_field
+from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
 from .patch_shader import PatchShader
+from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
@@ -20,8 +23,10 @@ from .white import white
 from .zonal import ZonalSignal
 
 __all__ = [
+    "DIFFUSE",
     "Adapted",
     "AdaptiveShader",
+    "BrdfReceiving",
     "ClusteredSignal",
     "DenseSignal",
     "DiffuseLayer",
@@ -33,7 +38,10 @@ __all__ = [
     "IncidentLayer",
     "LayerModule",
     "Making",
+    "NeighbourhoodShader",
     "PatchShader",
+    "PhongReceiving",
+    "Receiving",
     "Regions",
     "Shader",
     "SignalModule",
@@ -42,6 +50,7 @@ __all__ = [
     "adaptive",
     "agx",
     "at_rest",
+    "by_ratio",
     "display",
     "filmic",
     "fixed_orders",
@@ -53,6 +62,7 @@ __all__ = [
     "signal_module",
     "srgb",
     "tone_mapped",
+    "under_field",
     "white",
     "with_material",
 ]

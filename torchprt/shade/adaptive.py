@@ -156,7 +156,7 @@ class AdaptiveShader(nn.Module):
         if torch.compiler.is_compiling():
             raise InputError("adaptive shading cannot be traced into a graph: fix the orders, with shade.fixed_orders")
         shader = self.shader
-        shader._check(eye, view, frames, positions)
+        shader.check_given(eye, view, frames, positions)
         wanted, bright = light.dtype, white(light.to(shader.turn.project.dtype))
         light = turned_light(light, rotation, shader.turn).to(shader.dtype)
         turned = None if frames is None and positions is None else shader.pose(frames, positions)

@@ -91,7 +91,7 @@ class Shader(nn.Module):
         shapes do not fit or, outside a traced graph, if a direction is zero or not finite, `rotation` or frames are not
         proper rotations within 1e-4 (a collapsed or mirrored frame is none), or positions are not finite.
         """
-        self._check(eye, view, frames, positions)
+        self.check_given(eye, view, frames, positions)
         wanted, light = light.dtype, turned_light(light, rotation, self.turn).to(self.dtype)
         if out is not None and wanted != self.dtype:
             raise InputError(f"out cannot be used with a light in {wanted}: the shader is {self.dtype}, convert one")
@@ -118,7 +118,7 @@ class Shader(nn.Module):
 
         C = 3 if a weight or transfer has three channels. Raises InputError as `forward`, and for more than one.
         """
-        self._check(eye, view, frames, positions)
+        self.check_given(eye, view, frames, positions)
         turned = self._one_pose(frames, positions)
         total: Tensor | None = None
         for layer in self.layers.values():
@@ -177,7 +177,7 @@ class Shader(nn.Module):
         """
         if "pose" not in self.needs:
             raise InputError("fix_pose is for shaders that follow a pose: this one has one, as it was baked")
-        self._check(None, None, frames, positions)
+        self.check_given(None, None, frames, positions)
         turned = self._one_pose(frames, positions)
         layers = {
             name: layer.posed(None if turned is None else layer.among(turned, -3), positions)
@@ -209,7 +209,10 @@ class Shader(nn.Module):
             raise InputError("frames or positions have a batch: fix one pose at a time")
         return turned
 
-    def _check(self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None, positions: Tensor | None) -> None:
+    def check_given(
+        self, eye: Tensor | None, view: Tensor | None, frames: Tensor | None, positions: Tensor | None
+    ) -> None:
+        """InputError if an eye or a pose is given that this shader has no use for, or one that does not suffice."""
         if "eye" not in self.needs and not (eye is None and view is None):
             raise InputError("eye or view is given, but what this shader gives does not depend on it: omit it")
         if "pose" not in self.needs and not (frames is None and positions is None):

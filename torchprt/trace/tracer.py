@@ -90,6 +90,10 @@ class Tracer:
         """World points in the recentred frame of unit size in which rays are traced, float64."""
         return (points.to(torch.float64) - self.centre) * self.scale
 
+    def corners(self) -> Float[Tensor, "F 3 3"]:
+        """The corners of all triangles in the world, float64."""
+        return self._positions[self._faces.long()]
+
     def origins(
         self,
         points: Float[Tensor, "v 3"],

@@ -4,9 +4,11 @@ from .clustered import Clustered
 from .d3dx import load_d3dx
 from .dense import Dense
 from .file import FORMAT, load, save
+from .grid import Grid, grid_in
 from .layer import Diffuse, Layer
 from .layers import Exit, Factored, Incident, Visibility
 from .layout import Layout
+from .neighbourhood import Neighbourhood
 from .receivers import Receivers, Sight, Texels, Vertices
 from .signal import Signal
 from .transfer import Transfer, diffuse_transfer
@@ -19,9 +21,11 @@ __all__ = [
     "Diffuse",
     "Exit",
     "Factored",
+    "Grid",
     "Incident",
     "Layer",
     "Layout",
+    "Neighbourhood",
     "Receivers",
     "Sight",
     "Signal",
@@ -31,6 +35,7 @@ __all__ = [
     "Visibility",
     "Zonal",
     "diffuse_transfer",
+    "grid_in",
     "load",
     "load_d3dx",
     "save",

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import abc
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -14,6 +15,9 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
+
+if TYPE_CHECKING:
+    from torchprt.transfer.grid import Grid
 
 
 @dataclass(kw_only=True, repr=False)
@@ -51,6 +55,12 @@ class Receivers(Part, abc.ABC):
             "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
         )
 
+    def as_grid(self) -> Grid:
+        """These, if they are the nodes of a grid around an object; InputError if not."""
+        raise InputError(
+            "the transfer is recorded on a surface, not around an object: bake one, as bake_neighbourhood does"
+        )
+
 
 class Sight(enum.IntEnum):
     """How a receiver came to its transfer: what lightmap bakers call validity."""
@@ -65,6 +75,11 @@ class Sight(enum.IntEnum):
     """From its neighbours along the surface: it lies under its own surface or in a solid, and its rays say nothing."""
     BLIND = 4
     """Not at all: as those that are filled, but no neighbour sees either."""
+
+
+def called(object: str, name: str) -> bool:
+    """Whether an object goes by a name: that of its mesh, or of the file without its folder."""
+    return name in (object, Path(object).name)
 
 
 MIRROR = ("mirror_positions", "mirror_normals", "mirror_reflectance", "mirror_faces")
@@ -125,9 +140,16 @@ class Vertices(Receivers):
         return {"objects": list(self.objects)} if self.objects else {}
 
     def ground(self) -> Bool[Tensor, "V"]:
-        found = super().ground()
+        return self._where(lambda each: each["role"] == "ground")
+
+    def of_objects(self, names: Sequence[str]) -> Bool[Tensor, "V"]:
+        """Which of them are of the objects whose meshes have these names."""
+        return self._where(lambda each: any(called(each["name"], name) for name in names))
+
+    def _where(self, wanted: Callable[[dict[str, Any]], bool]) -> Bool[Tensor, "V"]:
+        found = torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
         for each in self.objects:
-            if each["role"] == "ground":
+            if wanted(each):
                 found[slice(*each["rows"])] = True
         return found if self.original is None else found[self.original.long()]
 

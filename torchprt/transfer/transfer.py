@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.dense import Dense
 from torchprt.transfer.layer import Diffuse, Layer
-from torchprt.transfer.receivers import Receivers, Vertices
+from torchprt.transfer.receivers import Receivers, Vertices, called
 from torchprt.words import count
 
 Transport = Literal["unshadowed", "shadowed", "interreflected"]
@@ -166,7 +167,26 @@ class Transfer:
     def without_ground(self) -> Transfer:
         """The same without what was recorded on a ground, and without layers that are of nothing else."""
         keep = ~self.receivers.ground()
-        if bool(keep.all()) or not bool(keep.any()) or not isinstance(self.receivers, Vertices):
+        return self._of(keep) if bool(keep.any()) else self
+
+    def only(self, *names: str) -> Transfer:
+        """The same of some of its objects alone, by the names of their meshes (or of their files without folders), with
+        all that the others do to them.
+
+        Raises InputError if one is of no object, or nothing is known of objects.
+        """
+        objects = self.receivers.objects if isinstance(self.receivers, Vertices) else ()
+        known = list(dict.fromkeys(each["name"] for each in objects))
+        for name in names:
+            if not any(called(each, name) for each in known):
+                found = ", ".join(Path(each).name for each in known) or "no names of any"
+                raise InputError(f"the transfer has no object '{name}': it has {found}")
+        assert isinstance(self.receivers, Vertices)
+        return self._of(self.receivers.of_objects(names))
+
+    def _of(self, keep: Bool[Tensor, "V"]) -> Transfer:
+        """Of the receivers to `keep`, and layers that are of any of them."""
+        if bool(keep.all()) or not isinstance(self.receivers, Vertices):
             return self
         index = keep.nonzero()[:, 0]
         place = keep.cumsum(0) - 1

@@ -8,6 +8,7 @@ from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
 from .mirrors import MirrorWarning
+from .neighbourhood import GridWarning, bake_neighbourhood
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
 from .workers import Processes, Threads
@@ -15,6 +16,7 @@ from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
+    "GridWarning",
     "MirrorWarning",
     "OrderWarning",
     "Processes",
@@ -22,6 +24,7 @@ __all__ = [
     "Task",
     "Threads",
     "bake",
+    "bake_neighbourhood",
     "bake_patch",
     "frames",
     "groove_transfer",

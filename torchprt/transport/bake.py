@@ -108,7 +108,7 @@ def bake(
     KeyboardInterrupt after the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
-    _check(order, rays, bounces, shadows, seed, threads, runner)
+    check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
@@ -139,7 +139,7 @@ def bake(
         if progress is True:
             report = stack.enter_context(Bar())
         points = None if receivers is None else recorded
-        store = stack.enter_context(_store(folder, job, geometry, points, bounces, wanted if is_glossy else None))
+        store = stack.enter_context(store_of(folder, job, geometry, points, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
         stages = Stages(runner, report, store)
@@ -176,7 +176,7 @@ def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int
     )
 
 
-def _check(
+def check_numbers(
     order: int,
     rays: int,
     bounces: Bounces,
@@ -201,15 +201,17 @@ def _check(
 
 
 @contextlib.contextmanager
-def _store(
+def store_of(
     folder: Path | None,
     job: Job,
     geometry: Geometry,
     points: Geometry | None,
     bounces: int | float,
     wanted: Wanted | None,
+    **more: Any,
 ) -> Iterator[Checkpoint | None]:
-    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none."""
+    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none. `more`: what
+    else the results depend on."""
     if folder is None and not bounces:
         yield None
         return
@@ -224,6 +226,7 @@ def _store(
         "hits": bounces > 0,
         "chunk": CHUNK,
         "version": VERSION,
+        **more,
     }
     if wanted is not None:
         parameters["glossy"] = repr(wanted)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh import fibonacci
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -32,6 +33,21 @@ def hemisphere(count: int, seed: int = 0) -> Float[Tensor, "D 3"]:
     angle = 2 * math.pi * torch.frac(index * GOLDEN + turn)
     radius = torch.sqrt(1 - z * z)
     return torch.stack([radius * torch.cos(angle), radius * torch.sin(angle), z], dim=-1)
+
+
+def sphere(count: int, seed: int = 0) -> Float[Tensor, "D 3"]:
+    """`count` directions spread evenly over the whole sphere, each for the solid angle `4 pi / count`, as `hemisphere`.
+
+    Raises InputError as that.
+    """
+    if count < 1:
+        raise InputError(f"rays is {count}: give at least 1")
+    if seed < 0:
+        raise InputError(f"seed is {seed}: give a number from 0")
+    points, _ = fibonacci(count)
+    angle = torch.tensor(2 * math.pi * np.random.default_rng(seed).random(), dtype=torch.float64)
+    x, y, z = points.unbind(-1)
+    return torch.stack([angle.cos() * x - angle.sin() * y, angle.sin() * x + angle.cos() * y, z], -1)
 
 
 def frames(normals: Float[Tensor, "v 3"]) -> Float[Tensor, "v 3 3"]:

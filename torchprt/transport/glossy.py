@@ -137,7 +137,7 @@ def shadowed(
                 by_mirrors[..., rows] = seen.direct(set_of.cosine, order, len(lit)) * lit
                 lost[rows] = seen.lost(set_of.cosine, len(lit)) * lit
             if keep_hits:
-                arrivals.append(_arrivals(hits, surfaces, lit, turned[rows], set_of.directions, seen))
+                arrivals.append(reflecting(hits, surfaces, lit, turned[rows], set_of.directions, seen))
         else:
             answers = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
             visible = -answers.to(torch.float32)
@@ -193,9 +193,9 @@ def gathered(
         radiance = torch.zeros(rows.stop - rows.start, len(set_of.directions), width)
         if surfaces.mirrors is None:
             toward = -(set_of.directions[column][:, None] @ turned[rows][row])[:, 0]
-            radiance[row, column] = _radiance(arrivals, part, toward, exitant, everything, surfaces)
+            radiance[row, column] = exit_radiance_at(arrivals, part, toward, exitant, everything, surfaces)
         else:
-            found = _radiance(arrivals, part, -arrivals.leg[part], exitant, everything, surfaces)
+            found = exit_radiance_at(arrivals, part, -arrivals.leg[part], exitant, everything, surfaces)
             share = arrivals.share[part]
             radiance[row, column] = (found.unflatten(1, (share.shape[1], -1)) * share[..., None]).flatten(1)
         diffuse[rows] = (set_of.cosine @ radiance.movedim(1, 0).flatten(1)).view(-1, width)
@@ -222,9 +222,10 @@ def _in_order(parts: list[tuple[Tensor, Tensor]]) -> list[Tensor]:
     return [torch.cat([matrix for _, matrix in parts])[back]]
 
 
-def _arrivals(
+def reflecting(
     hits: Hits, surfaces: Surfaces, lit: Tensor, turned: Tensor, directions: Tensor, seen: ByMirrors | None
 ) -> Arrivals:
+    """Of the rays of a block those that end on a surface which reflects, by way of mirrors if `seen` is given."""
     hits = hits if seen is None else seen.hits
     reflects = ((surfaces.front >= 0).any(-1), (surfaces.back >= 0).any(-1))
     triangle = hits.triangle.clamp(min=0).long()
@@ -250,7 +251,7 @@ def _join(parts: list[Arrivals]) -> Arrivals:
     return Arrivals(*(torch.cat([getattr(part, name) for part in parts]) for name in Arrivals.__dataclass_fields__))
 
 
-def _radiance(
+def exit_radiance_at(
     arrivals: Arrivals, part: slice, toward: Tensor, exitant: Exitant, everything: Glossy, surfaces: Surfaces
 ) -> Float[Tensor, "E W"]:
     """Exit radiance of the points that rays hit, toward where the rays came from."""

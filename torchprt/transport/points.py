@@ -86,7 +86,7 @@ def bake_points(
         return finished(task, points, wanted, solve_glossy.solve(task, 0, stages), worst, stages)
     warn_of_order(of_hits, scene, job.order)
     if len(scene.glossy):
-        hit, sent, bounces, cut = _sent_by_glossy(job, scene, of_hits, bounces, stages)
+        hit, sent, bounces, cut = sent_by_glossy(job, scene, of_hits, bounces, stages)
     else:
         over_vertices, vectors = _sent(job, scene, bounces, stages)
         hit, sent = _none_glossy(job), Exitant(vectors, 1)
@@ -124,11 +124,11 @@ def _sent(job: Job, scene: Geometry, bounces: int | float, stages: Stages) -> tu
     return found, exit_radiance(transfer, scene.albedo)
 
 
-def _sent_by_glossy(
+def sent_by_glossy(
     job: Job, scene: Geometry, wanted: Wanted, bounces: int | float, stages: Stages
 ) -> tuple[Glossy, Exitant, int, float | None]:
-    """The same where some surfaces are glossy: these, what all send out, the bounces with that to the points, and what
-    was cut off among mirrors."""
+    """What surfaces send out, some of them glossy, with all bounces but the last: which are glossy, the bounces with the
+    last one, and what was cut off among mirrors."""
     task = job_of(job, scene, recording_of(wanted, scene, job.order))
     found = solve_glossy.solve(task, bounces - 1, stages)
     columns = found.arrived.diffuse.shape[1]

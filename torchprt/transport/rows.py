@@ -12,7 +12,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.brdf import Brdf, Factors, exit_kernel
-from torchprt.sh import Projection, basis, exit_count, gauss_legendre_hemisphere, hemisphere_basis, rotate
+from torchprt.sh import (
+    Projection,
+    basis,
+    exit_count,
+    gauss_legendre,
+    gauss_legendre_hemisphere,
+    hemisphere_basis,
+    rotate,
+)
 
 Frame = Literal["exit", "factored", "incident", "visibility"]
 
@@ -113,8 +121,19 @@ def _rows(kernel: Callable[[Tensor], Tensor], directions: Tensor, order: int | N
     return Rows(single, product.flatten(0, 1))
 
 
+def around(directions: Float[Tensor, "D 3"], order: int, output_order: int) -> Rows:
+    """The rows of what arrives from all around, along `directions` that are spread over the whole sphere."""
+    return _pairs(directions, order, output_order, gauss_legendre(order + output_order), 4 * math.pi)
+
+
 def _incident(directions: Tensor, order: int, output_order: int) -> Rows:
-    """`y_i y_j` for every pair of harmonics, once: symmetric as far as the matrix is square."""
+    """Of what arrives at a surface."""
+    return _pairs(directions, order, output_order, gauss_legendre_hemisphere(order + output_order), 2 * math.pi)
+
+
+def _pairs(directions: Tensor, order: int, output_order: int, rule: tuple[Tensor, Tensor], area: float) -> Rows:
+    """`y_i y_j` for every pair of harmonics, once: symmetric as far as the matrix is square. `rule`: of quadrature over
+    the `area` that the directions are spread over."""
     rows, columns = output_order**2, order**2
     first = torch.arange(rows)[:, None].expand(rows, columns)
     second = torch.arange(columns).expand(rows, columns)
@@ -126,8 +145,8 @@ def _incident(directions: Tensor, order: int, output_order: int) -> Rows:
         values = basis(points, max(order, output_order)).T
         return values[low] * values[high]
 
-    nodes, weights = gauss_legendre_hemisphere(order + output_order)
-    solid_angle = 2 * math.pi / len(directions)
+    nodes, weights = rule
+    solid_angle = area / len(directions)
     product = pairs(directions) * solid_angle
     correction = (pairs(nodes) @ weights - product.sum(-1)) / len(directions)
     table = basis(directions, output_order).T * solid_angle

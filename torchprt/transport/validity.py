@@ -58,7 +58,13 @@ def filling(geometry: Geometry, normals: Float[Tensor, "V 3"], sight: UInt8[Tens
     """How receivers of a scene that are marked as filled are filled; those that no valid one can be reached from are
     marked as blind."""
     rows = np.flatnonzero((sight == Sight.FILLED).numpy())
-    links = _links(geometry, normals, rows)[rows]
+    return along(_links(geometry, normals, rows), sight)
+
+
+def along(links: csr_matrix, sight: UInt8[Tensor, "V"]) -> Validity:
+    """How receivers that are marked as filled are filled along `links [V, V]`, symmetric, 1 between neighbours."""
+    rows = np.flatnonzero((sight == Sight.FILLED).numpy())
+    links = links[rows]
     beside = links @ diags((sight != Sight.FILLED).double().numpy())
     return _system(sight, torch.from_numpy(rows), -links[:, rows], beside)
 

@@ -3,6 +3,7 @@
 from .coloured_box import coloured_box
 from .cylinder import cylinder
 from .dish import dish
+from .glider import glider, land, terrain
 from .head import head
 from .organic import organic
 from .painted_vase import painted_vase, vase_picture, write_painted_vase
@@ -20,7 +21,9 @@ __all__ = [
     "cylinder",
     "dish",
     "flap",
+    "glider",
     "head",
+    "land",
     "organic",
     "painted_vase",
     "plane_and_blocker",
@@ -28,6 +31,7 @@ __all__ = [
     "ring_on_plane",
     "still_life",
     "teapot",
+    "terrain",
     "vase",
     "vase_picture",
     "waffle",
