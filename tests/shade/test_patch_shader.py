@@ -209,3 +209,15 @@ def test_it_is_traced_for_any_number_of_points_and_lights():
     program = torch.export.export(patch, given(2, 5), dynamic_shapes=sizes, strict=False)
     other = given(3, 11)
     torch.testing.assert_close(program.module()(*other), patch(*other), rtol=1e-5, atol=1e-5)
+
+
+def test_a_texture_colours_a_patch():
+    patch = random_map(dtype=torch.float64)
+    texture = torch.rand(48, 3, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    layer = patch.layers["diffuse"]
+    white, painted = (
+        patch.with_layers(diffuse=layer.replace(albedo=each)) for each in (torch.ones(1, 1).double(), texture)
+    )
+    uv, frames = torch.tensor([[2.5 / 8, 1.5 / 6]]).double(), torch.eye(3).double()[None]
+    one, other = (PatchShader(each)(a_light(), uv, frames) for each in (white, painted))
+    torch.testing.assert_close(other[0], one[0] * texture[1 * 8 + 2])

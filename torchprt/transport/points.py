@@ -127,8 +127,8 @@ def _sent(job: Job, scene: Geometry, bounces: int | float, stages: Stages) -> tu
 def sent_by_glossy(
     job: Job, scene: Geometry, wanted: Wanted, bounces: int | float, stages: Stages
 ) -> tuple[Glossy, Exitant, int, float | None]:
-    """What surfaces send out, some of them glossy, with all bounces but the last: which are glossy, the bounces with the
-    last one, and what was cut off among mirrors."""
+    """What surfaces send out, some of them glossy, with all bounces but the last: which are glossy, the bounces with
+    the last one, and what was cut off among mirrors."""
     task = job_of(job, scene, recording_of(wanted, scene, job.order))
     found = solve_glossy.solve(task, bounces - 1, stages)
     columns = found.arrived.diffuse.shape[1]
