@@ -14,6 +14,7 @@ import time
 import warnings
 from pathlib import Path
 
+import numpy as np
 import torch
 from PIL import Image
 from rich.console import Console
@@ -267,6 +268,37 @@ def sizes() -> Table:
     return table
 
 
+def flight() -> Tensor:
+    """The page in a browser; needs what docs/make/page.py does."""
+    import io
+    import shutil
+    import tempfile
+    import threading
+
+    from playwright.sync_api import sync_playwright
+
+    from torchprt import web
+
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    flags = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-color-profile=srgb")
+    flies = web.Flight(clustered(64, 8), model(), preview.along(KEYS, 97))
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        page = web.export(land(), Path(folder) / "page", title="Glider", flight=flies, check=False)
+        with web.serve(page.folder) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            browser = playwright.chromium.launch(executable_path=program, args=list(flags))
+            tab = browser.new_page(viewport={"width": 1200, "height": 760})
+            tab.goto(f"http://127.0.0.1:{server.server_port}/")
+            tab.wait_for_selector("body[data-ready]", timeout=90_000)
+            tab.click("#environments label:nth-child(3)")
+            tab.evaluate("async () => { await torchprt.raced; await torchprt.zoom(0.58); await torchprt.flyTo(0.6); }")
+            tab.evaluate("async () => { torchprt.turnCamera(-60, 40); await torchprt.turnLight(-150, 0); }")
+            picture = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
+            browser.close()
+            server.shutdown()
+    return torch.from_numpy(np.asarray(picture).astype("float32") / 255)
+
+
 def animation(name: str, pictures: list[Tensor]) -> None:
     pictures = [*pictures]
     images = [Image.fromarray((picture.numpy() * 255).round().astype("uint8")) for picture in pictures]
@@ -280,7 +312,7 @@ def path(name: str, suffix: str) -> Path:
 
 
 TABLES = {"planes": planes, "several": several, "times": times, "sizes": sizes}
-PICTURES = {"glider": frames, "cast": beside}
+PICTURES = {"glider": frames, "cast": beside, "flight": flight}
 ANIMATIONS = {"gliding": gliding}
 
 

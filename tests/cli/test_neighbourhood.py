@@ -62,5 +62,11 @@ def test_bakes_tells_and_casts(folder, tmp_path, run, refused, around):
         "not around an object",
         arguments=["cast", folder / "ball.safetensors", folder / "ball.ply", "-o", tmp_path / "c.png"],
     )
+    page = ["export", folder / "ball.safetensors", "-o", tmp_path / "page", "--web"]
+    refused("without --model or --path", arguments=[*page, "--cast", around])
+    refused("without --cast", arguments=[*page, "--path", "0,3,0"])
+    refused(
+        "of order 3", arguments=[*page, "--cast", around, "--model", folder / "ball.safetensors", "--path", "0,3,0"]
+    )
     refused("receivers read it", arguments=["shade", around, "-o", tmp_path / "a.npy"])
     refused("no use for it", arguments=["export", around, "-o", tmp_path / "a.onnx", "--from", "environment"])

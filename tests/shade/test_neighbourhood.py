@@ -143,6 +143,28 @@ def test_a_phong_lobe_and_a_brdf_are_integrated_against_what_arrives():
     torch.testing.assert_close(matte, wanted, rtol=0, atol=2e-4 * float(wanted.abs().max()))
 
 
+def test_a_brdf_that_has_an_eye_is_integrated_in_the_frame_of_each_receiver():
+    """Within what nine bands of exit functions hold of the lobe."""
+    transfer, given = random_neighbourhood(dtype=torch.float64, order=4, output_order=4), receivers(12, torch.float64)
+    pose = posed(turn=(50.0, 20.0, -70.0), at=(0.2, 0.0, 0.1), dtype=torch.float64)
+    eye, gloss = torch.tensor([0.4, 9.0, 1.0]).double(), brdf.parse("phong:4")
+    coefficients = lights(dtype=torch.float64)
+    directions, weights = sh.gauss_legendre_hemisphere(60)
+    above = (given["normals"] * (eye - given["positions"])).sum(-1) > 2
+    given = {name: value[above] for name, value in given.items()}
+
+    def lobe(index):
+        toward, normal = normalize(eye - given["positions"][index], dim=0), given["normals"][index]
+        first = normalize(torch.linalg.cross(normal, toward), dim=0)
+        axes = torch.stack([first, torch.linalg.cross(normal, first), normal])
+        return directions @ axes, weights * directions[:, 2] * gloss((axes @ toward)[None], directions)
+
+    glossy = BrdfReceiving(gloss, 4, output_order=9)
+    found = NeighbourhoodShader(transfer, receiving=glossy)(coefficients, **given, pose=pose, eye=eye)
+    assert len(found) > 3
+    assert relative_rms(found, twin(transfer, coefficients, given["positions"], pose, lobe)) < 0.03
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_all_turned_and_moved_together_is_the_same(dtype):
     transfer, given = random_neighbourhood(dtype=dtype), receivers(dtype=dtype)

@@ -52,6 +52,13 @@ def export(
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
     title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    cast: Annotated[
+        Path | None, typer.Option(help="Page: of `torchprt neighbourhood`: an object that flies over the model.")
+    ] = None,
+    model: Annotated[Path | None, typer.Option(help="Page: a bake of that object, to show it.")] = None,
+    path: Annotated[
+        str | None, typer.Option(help="Page: where it goes: X,Y,Z[,YAW[,PITCH,ROLL]], several with ; between them.")
+    ] = None,
     exact: Annotated[bool, typer.Option("--exact", help="Page: weights and places in float32, as in .onnx.")] = False,
     order: Annotated[
         int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
@@ -74,6 +81,7 @@ def export(
     graph["--pose"] = pose
     mesh = {"--order": order, "--source": asset}
     page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
+    page |= {"--cast": cast, "--model": model, "--path": path}
     if web:
         _refuse(graph | mesh, "a page")
     else:
@@ -81,6 +89,13 @@ def export(
             raise InputError(f"{output} must end in .onnx or .glb; to write a page into that folder give --web")
         check_writable(output, (".onnx", ".glb"))
         _refuse(page | (graph if ends == ".glb" else mesh), f"{ends} without --web")
+    flight = None
+    if cast is not None:
+        if model is None or path is None:
+            raise InputError("--cast is given without --model or --path: give a bake of the object, and where it goes")
+        flight = (cast, model, path)
+    elif model is not None or path is not None:
+        raise InputError("--model or --path is given without --cast: give the neighbourhood that casts the shadow too")
     start = options.choice(source or "light", "--from", ("light", "environment"))
     kind = options.choice(eye or "point", "--eye", ("point", "direction"))
     taken = None if pose is None else options.choice(pose, "--pose", ("frames", "positions"))
@@ -106,7 +121,7 @@ def export(
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
         named = title or transfer.stem
-        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact)
+        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact, flight)
     if ends == ".glb":
         return _export_mesh(loaded, output, order, asset, transfer.parent)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 from torchprt.cli.environments import environment_of
 from torchprt.cli.report import say
 
+# Of a flight, between which the page goes straight on.
+POSES = 97
+
 if TYPE_CHECKING:
     from torchprt.brdf import Brdf
     from torchprt.transfer import Transfer
@@ -24,10 +27,12 @@ def export_page(
     gloss: Brdf | None,
     with_ground: bool = False,
     exact: bool = False,
+    flight: tuple[Path, Path, str] | None = None,
 ) -> None:
     """Writes the page of `--web` and says how to look at it; `gloss` is what `transfer` left open.
 
-    `compressed` is shown without its ground, as `transfer` is, unless it is to be `with_ground`.
+    `compressed` is shown without its ground, as `transfer` is, unless it is to be `with_ground`. `flight`: the
+    neighbourhood of an object, its bake and its path.
     """
     from torchprt import web
     from torchprt.shade import with_material
@@ -40,7 +45,17 @@ def export_page(
     if packed is not None and gloss is not None and "reflectance" in packed.needs:
         packed = with_material(packed, gloss)
     environments = None if lights is None else [environment_of(each, transfer.order, repair=False) for each in lights]
-    report = web.export(transfer, folder, environments=environments, compressed=packed, title=title, exact=exact)
+    flies = None
+    if flight is not None:
+        from torchprt import preview
+        from torchprt.cli.cast import keys_of
+
+        keys = keys_of(flight[2])
+        poses = preview.along(keys, POSES if len(keys) > 1 else 1)
+        flies = web.Flight(load(flight[0]), load(flight[1]), poses)
+    report = web.export(
+        transfer, folder, environments=environments, compressed=packed, title=title, exact=exact, flight=flies
+    )
     say(f"{report}, written in {time.perf_counter() - start:.1f} s")
     if report.parity is not None:
         say(report.parity)

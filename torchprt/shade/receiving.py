@@ -157,12 +157,8 @@ class BrdfReceiving(Receiving):
 
 def directions_to(positions: Tensor, eye: Tensor | None, view: Tensor | None) -> Float[Tensor, "*B #R 3"]:
     """Unit directions toward the eye in the world. Raises InputError unless exactly one of the two is given."""
-    toward = toward_eye(widened_last(positions), eye, view).movedim(0, -1)
+    toward = toward_eye(positions.movedim(-1, 0), eye, view).movedim(0, -1)
     return normalize(toward, dim=-1)
-
-
-def widened_last(positions: Float[Tensor, "*B R 3"]) -> Float[Tensor, "3 *B R"]:
-    return positions.movedim(-1, 0)
 
 
 def frames_about(normals: Float[Tensor, "*B R 3"]) -> Float[Tensor, "*B R 3 3"]:

@@ -2,7 +2,8 @@
 
 from .environment import samples
 from .export import PageReport, export
+from .flight import Flight
 from .libraries import libraries
 from .serve import serve
 
-__all__ = ["PageReport", "export", "libraries", "samples", "serve"]
+__all__ = ["Flight", "PageReport", "export", "libraries", "samples", "serve"]

@@ -26,6 +26,7 @@ from torchprt.shade.display import TONE
 from torchprt.transfer import Transfer, Vertices
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
+from torchprt.web.flight import Flight
 from torchprt.web.libraries import libraries
 from torchprt.web.mesh import save_small_glb
 from torchprt.web.packing import pack
@@ -87,6 +88,7 @@ def export(
     title: str = "torchprt",
     exact: bool = False,
     check: bool = True,
+    flight: Flight | None = None,
 ) -> PageReport:
     """Writes a page that shows `transfer` under `environments` (`samples` if none are given) into `folder`.
 
@@ -94,6 +96,8 @@ def export(
     camera and light, and draws plain N.L, unshadowed irradiance, transfer, `compressed` (the same bake, compressed) if
     given, and the difference of transfer and what approximates it. Glossy transfer follows the eye.
     The graph is compared with torch as by `onnx.export` if `check`. A former page in `folder` is replaced as a whole.
+
+    `flight`: an object that moves over the model and casts its shadow on it.
 
     Weights and mesh are quantised (`packing.pack`, `mesh.save_small_glb`), which with gzip makes 100 000 vertices of
     order 5 a download of 6 to 11 MB; with `check` the report says what that costs. `exact` keeps all in float32.
@@ -109,6 +113,8 @@ def export(
     packed = None if compressed is None else at_rest(compressed)
     if packed is not None:
         _check_same(full, packed)
+    if flight is not None:
+        flight.check(full.order)
     lights = samples(full.order) if environments is None else list(environments)
     if not lights:
         raise InputError("a page needs a light: give one environment or more")
@@ -127,6 +133,10 @@ def export(
                 packed_parity = second
         models = [_zipped(made / name) for name in (MODEL, COMPRESSED) if (made / name).is_file()]
         save = preview.save_glb if exact else save_small_glb
+        flies, flying = None, tuple[str, ...]()
+        if flight is not None:
+            flies, graphs, flying = flight.write(made, save, check)
+            models += [_zipped(each) for each in graphs]
         moved = save(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full)) or 0.0
         mirrors = full.receivers.mirrors if isinstance(full.receivers, Vertices) else None
         if mirrors is not None:
@@ -144,8 +154,14 @@ def export(
             ],
         }
         about["mirrors"] = mirrors is not None
-        meshes = ("mesh.glb", *(("mirrors.glb",) if mirrors is not None else ()))
-        loaded = (*meshes, MODEL + ".gz", *(f"libraries/{name}" for name in LOADED), *pictures)
+        about["flight"] = flies
+        meshes = ("mesh.glb", *(("mirrors.glb",) if mirrors is not None else ()), *flying)
+        loaded = (
+            *meshes,
+            *(each.name for each in models if each.name != COMPRESSED + ".gz"),
+            *(f"libraries/{name}" for name in LOADED),
+            *pictures,
+        )
         about["download"] = sum((made / name).stat().st_size for name in loaded)
         (made / "scene.json").write_text(json.dumps(about, allow_nan=False), encoding="utf-8")
         own = [*models, *(made / name for name in meshes), made / "scene.json", *(made / name for name in pictures)]

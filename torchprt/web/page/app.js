@@ -1,5 +1,6 @@
 // The page: loads everything at once, shows the model, and picks the faster of processor and graphics card.
 import { checkBrowser, damaged, Fault, load, notOfOnePage } from "./faults.js";
+import { Flight } from "./flight.js";
 import { loadMesh } from "./mesh.js";
 import { connect, median, megabytes, report } from "./panel.js";
 import { Model } from "./runtime.js";
@@ -58,11 +59,14 @@ async function start() {
   at("title").textContent = described.title;
   at("subtitle").textContent = described.subtitle;
   at("loading").textContent = `loading ${megabytes(described.download)}`;
-  const [mesh, model, compressed, pictures, mirrors] = await Promise.all([
+  const [mesh, model, compressed, pictures, mirrors, flight] = await Promise.all([
     ...loading,
     described.compressed ? Model.open("compressed.onnx.gz") : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
     described.mirrors ? loadMesh("mirrors.glb") : null,
+    described.flight
+      ? Promise.all([Model.open("shadow.onnx.gz"), Model.open("object.onnx.gz"), loadMesh("object.glb")])
+      : null,
   ]);
   if (mesh.vertices !== described.vertices) {
     throw notOfOnePage(`mesh.glb has ${mesh.vertices} vertices where the model shades ${described.vertices}`);
@@ -73,6 +77,7 @@ async function start() {
     window.complain("The graphics card was lost", "The system or another page took it away. Load this page again."),
   );
   if (mirrors) viewer.view.addMirrors(mirrors);
+  if (flight) viewer.let(new Flight(described.flight, ...flight));
   connect(viewer);
   await viewer.change();
   at("loading").hidden = true;

@@ -65,6 +65,8 @@ export function connect(viewer) {
   modes(viewer);
   looks(viewer);
   turning(viewer);
+  if (viewer.flight) flying(viewer);
+  else for (const id of ["flying-row", "moment-row"]) at(id).remove();
   files(viewer);
   listen(viewer.view.canvas, {
     camera: (right, down) => viewer.turnCamera(right, down),
@@ -174,6 +176,29 @@ function turning(viewer) {
   matchMedia("(prefers-reduced-motion: reduce)").addEventListener("change", ({ matches }) => {
     if (matches && box.checked) box.click();
   });
+}
+
+/** Where the object is on its way, by hand or by itself. */
+function flying(viewer) {
+  const [box, place] = [at("flying"), at("moment")];
+  at("flying-row").hidden = at("moment-row").hidden = false;
+  const say = () => {
+    const percent = `${Math.round(100 * viewer.flight.moment)} %`;
+    at("moment-value").textContent = percent;
+    place.setAttribute("aria-valuetext", percent);
+  };
+  box.addEventListener("change", () => viewer.letFly(box.checked));
+  place.addEventListener("input", () => viewer.flyTo(Number(place.value)));
+  const before = viewer.ondraw;
+  viewer.ondraw = () => {
+    before();
+    place.value = viewer.flight.moment;
+    say();
+  };
+  matchMedia("(prefers-reduced-motion: reduce)").addEventListener("change", ({ matches }) => {
+    if (matches && box.checked) box.click();
+  });
+  say();
 }
 
 /** Files from the button, and those that are dropped anywhere on the page. */

@@ -55,13 +55,15 @@ export class Model {
     return new Model(ort, session, name, content.byteLength);
   }
 
-  async shade(light, rotation, eye) {
+  /** One light; `more`: values and shapes of what the graph takes beside it, by name. */
+  async shade(light, rotation, eye, more = {}) {
     const { ort, session } = this;
     const inputs = {
       light: new ort.Tensor("float32", light, [1, light.length / 3, 3]),
       rotation: new ort.Tensor("float32", Float32Array.from(rotation), [1, 3, 3]),
     };
     if (session.inputNames.includes("eye")) inputs.eye = new ort.Tensor("float32", Float32Array.from(eye), [1, 3]);
+    for (const [name, [values, shape]] of Object.entries(more)) inputs[name] = new ort.Tensor("float32", values, shape);
     const { radiance } = await session.run(inputs);
     const values = await radiance.getData();
     // The memory of WebAssembly may move and be used again: what is kept is a copy.

@@ -114,6 +114,16 @@ const surroundings = () =>
       }`,
   });
 
+function shine(geometry, values) {
+  const attribute = geometry.attributes.radiance;
+  if (attribute) {
+    attribute.array = values;
+    attribute.needsUpdate = true;
+  } else {
+    geometry.setAttribute("radiance", new THREE.BufferAttribute(values, 3).setUsage(THREE.DynamicDrawUsage));
+  }
+}
+
 export class View {
   constructor(canvas, geometry, { camera, closed }) {
     this.canvas = canvas;
@@ -185,13 +195,35 @@ export class View {
   }
 
   set radiance(values) {
-    const attribute = this.geometry.attributes.radiance;
-    if (attribute) {
-      attribute.array = values;
-      attribute.needsUpdate = true;
-    } else {
-      this.geometry.setAttribute("radiance", new THREE.BufferAttribute(values, 3).setUsage(THREE.DynamicDrawUsage));
-    }
+    shine(this.geometry, values);
+  }
+
+  /** Draws an object that moves through `places` too. */
+  addObject({ geometry }, places) {
+    geometry.computeBoundingSphere();
+    this.object = new THREE.Mesh(geometry, this.material);
+    this.object.matrixAutoUpdate = false;
+    this.object.frustumCulled = false;
+    this.scene.add(this.object);
+    const reach = geometry.boundingSphere.center.length() + geometry.boundingSphere.radius;
+    this.ball = this.ball.clone();
+    for (const place of places) this.ball.union(new THREE.Sphere(place, reach));
+  }
+
+  /** Whether it is drawn. */
+  showObject(shown) {
+    if (this.object) this.object.visible = shown;
+  }
+
+  get objectShown() {
+    return this.object?.visible ?? false;
+  }
+
+  /** Puts the object in a pose, a Matrix4, with the radiance of its vertices. */
+  placeObject(pose, radiance) {
+    this.object.matrix.copy(pose);
+    this.object.matrixWorldNeedsUpdate = true;
+    shine(this.object.geometry, radiance);
   }
 
   /** Draws mirrors too: a mesh whose colours are what they reflect along their normals. */

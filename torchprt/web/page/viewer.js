@@ -27,7 +27,15 @@ export class Viewer {
     this.turning = false;
     this.surrounded = true;
     this.times = [];
+    this.flight = null;
     this.changed = true;
+  }
+
+  /** An object that flies over the model; at first it stands in the middle of its way. */
+  let(flight) {
+    this.flight = flight;
+    flight.moment = 0.5;
+    this.view.addObject(flight.mesh, flight.poses.map(({ place }) => place));
   }
 
   get light() {
@@ -60,14 +68,17 @@ export class Viewer {
 
   async #settle() {
     let then = null;
-    while (this.changed || this.turning) {
+    const moves = () => this.turning || this.flight?.flying;
+    while (this.changed || moves()) {
       this.changed = false;
       await this.#shade();
       this.#draw();
       const now = await new Promise(requestAnimationFrame);
       // A tab that was away for a while does not make up for it.
-      if (this.turning && then !== null) this.#spin(Math.min(now - then, 100) / 1000);
-      then = this.turning ? now : null;
+      const passed = then === null ? 0 : Math.min(now - then, 100) / 1000;
+      if (this.turning) this.#spin(passed);
+      if (this.flight?.flying) this.flight.pass(passed);
+      then = moves() ? now : null;
     }
   }
 
@@ -78,6 +89,18 @@ export class Viewer {
   /** Lets the light turn by itself about +y, or stand still. */
   letTurn(turning) {
     this.turning = turning;
+    return this.change();
+  }
+
+  /** Lets the object fly, or stay where it is. */
+  letFly(flying) {
+    this.flight.flying = flying;
+    return this.change();
+  }
+
+  /** Puts the object at a place of its way, from 0 to 1. */
+  flyTo(moment) {
+    this.flight.moment = moment;
     return this.change();
   }
 
@@ -121,6 +144,13 @@ export class Viewer {
       this.view.radiance = shown;
     } else {
       this.view.radiance = this.radiance;
+    }
+    this.view.showObject(this.flight !== null && ["transfer", "compressed"].includes(this.mode));
+    if (this.flight && this.view.objectShown) {
+      const { seen, below } = await this.flight.shade(light, rotation, mesh, this.radiance);
+      this.view.placeObject(this.flight.pose, seen);
+      this.radiance = below;
+      this.view.radiance = below;
     }
   }
 
