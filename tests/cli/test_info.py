@@ -146,3 +146,22 @@ def test_what_a_stopped_bake_keeps(done, folder, tmp_path):
     said = done("info", kept)
     assert "a bake that was stopped, 1 chunk, " in said
     assert f"with -o {tmp_path / 'a.safetensors'} goes on" in said
+
+
+def test_what_d3dx_saved_is_told_without_a_mesh(done, tmp_path):
+    header = np.array([4, 9, 3, 0, 0, 0], "<u4").tobytes()
+    (tmp_path / "a.prt").write_bytes(header + np.ones(4 * 27, "<f4").tobytes())
+    said = done("info", tmp_path / "a.prt")
+    for word in ("diffuse, shadowed, order 3, 3 channels, 4 vertices", "4 receivers", "neither albedo", "load_d3dx"):
+        assert word in said
+    header = np.array([4, 9, 1, 2, 2, 1, 2, 1], "<u4").tobytes()
+    body = np.ones(9 * 2 * 2 + 4, "<f4").tobytes() + np.array([0, 1, 1, 0], "<u4").tobytes()
+    (tmp_path / "b.pca").write_bytes(header + body)
+    said = done("info", tmp_path / "b.pca")
+    for word in (
+        "clustered diffuse",
+        "map of 2 x 2 texels",
+        "2 clusters (D3DX), 1 PCA vectors each",
+        "error not known",
+    ):
+        assert word in said

@@ -94,3 +94,29 @@ def test_a_patch_is_lit_flat_as_it_was_baked(done, made, folder, tmp_path):
     done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small)
     done("shade", tmp_path / "p.safetensors", "--light", folder / "lamp.exr", "-o", tmp_path / "p.npy")
     assert np.load(tmp_path / "p.npy").shape == (16, 3)
+
+
+def test_a_glossy_patch_is_shown_on_a_mesh_at_every_pixel(done, refused, made, folder, tmp_path):
+    small = ("--size", 3, "--order", 3, "--rays", 16, "--lobes", 1, "--material", "ggx:0.5,0.4", "--factors", 2)
+    said = done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small, "--albedo", 0.2, "--depth", 0.3)
+    for word in ("zonal diffuse + zonal factored", "map of 3 x 3 texels", "materials ggx:0.5,0.4"):
+        assert word in said
+    patch, light = tmp_path / "p.safetensors", ("--light", folder / "lamp.exr", "--size", "48x36")
+    shown = (patch, "--on", made / "cylinder.obj", "--repeat", "4,3", *light)
+    said = done("render", *shown, "-o", tmp_path / "one.png")
+    assert "1 picture of 48 x 36" in said
+    done("render", *shown, "--turntable", 3, "-o", tmp_path / "f-####.png")
+    pictures = [np.asarray(PIL.Image.open(path)).astype(int) for path in sorted(tmp_path.glob("f-*.png"))]
+    assert len(pictures) == 3
+    assert abs(pictures[0] - pictures[1]).mean() > 0.5
+    done("lay", patch, made / "cylinder.obj", "-o", tmp_path / "c.safetensors")
+    done("render", tmp_path / "c.safetensors", *light, "-o", tmp_path / "vertices.png")
+    output = ("-o", tmp_path / "x.png")
+    refused("--repeat", "--on", arguments=["render", patch, "--repeat", "2,2", *output])
+    refused("ball.ply has no texture", arguments=["render", patch, "--on", made / "ball.ply", *output])
+    refused(
+        "recorded at vertices", arguments=["render", tmp_path / "c.safetensors", "--on", made / "cylinder.obj", *output]
+    )
+    refused("--on is given", arguments=["render", made / "ball.ply", "--on", made / "cylinder.obj", *output])
+    refused("--show is sight", arguments=["render", patch, "--on", made / "cylinder.obj", "--show", "sight", *output])
+    refused("--factors", arguments=["patch", made / "bump.png", "--factors", "2", "-o", tmp_path / "q.safetensors"])

@@ -8,7 +8,7 @@ import torch
 from transfers import stored
 
 from torchprt.errors import InputError
-from torchprt.scene import Points, load, samples
+from torchprt.scene import Material, Points, load, samples
 from torchprt.trace import Tracer
 from torchprt.transport import CheckpointWarning, bake, hemisphere
 from torchprt.transport.checkpoint import Checkpoint
@@ -66,14 +66,36 @@ def test_a_stopped_bake_goes_on_where_it_was_to_the_same_bits(scene, tmp_path, o
     assert not folder.exists()
 
 
-def test_bounces_to_points_go_on_too(scene, tmp_path):
+@pytest.mark.parametrize("gloss", [None, "ggx:0.5,0.4"])
+def test_bounces_to_points_go_on_too(scene, tmp_path, gloss):
     mesh = scene.objects[0].mesh
-    points = Points(mesh.positions[:3000], mesh.normals[:3000])
-    whole = bake(scene, rays=16, bounces=2, receivers=points, progress=False)
+    points = Points(mesh.positions[:3000], mesh.normals[:3000], 0.1, gloss)
+    options = {"rays": 16, "bounces": 2, "receivers": points}
+    whole = bake(scene, progress=False, **options)
     with pytest.raises(KeyboardInterrupt):
-        bake(scene, rays=16, bounces=2, receivers=points, checkpoint=tmp_path / "kept", progress=Stops(after=9))
-    resumed = bake(scene, rays=16, bounces=2, receivers=points, checkpoint=tmp_path / "kept", progress=False)
+        bake(scene, checkpoint=tmp_path / "kept", progress=Stops(after=9), **options)
+    resumed = bake(scene, checkpoint=tmp_path / "kept", progress=False, **options)
     assert torch.equal(stored(resumed), stored(whole))
+
+
+def test_what_points_gather_is_of_one_gloss_and_one_specular(scene, tmp_path):
+    """Chunks of points hold what others reflected toward them: another paint is another bake."""
+    mesh, folder = scene.objects[0].mesh, tmp_path / "kept"
+    points = Points(mesh.positions[:600], mesh.normals[:600], 0.1, "ggx:0.5,0.4", 0.5)
+    options = {
+        "rays": 8,
+        "order": 2,
+        "output_order": 4,
+        "bounces": 1,
+        "checkpoint": folder,
+        "keep": True,
+        "progress": False,
+    }
+    bake(load(mesh, material=Material(0.1, gloss="ggx:0.5,0.4", specular=0.5)), receivers=points, **options)
+    for specular, gloss in ((0.4, "ggx:0.5,0.4"), (0.4, "ggx:0.6,0.4")):
+        paint = load(mesh, material=Material(0.1, gloss="ggx:0.5,0.4", specular=specular))
+        with pytest.warns(CheckpointWarning, match="another scene"):
+            bake(paint, receivers=Points(mesh.positions[:600], mesh.normals[:600], 0.1, gloss, 0.5), **options)
 
 
 def test_a_chunk_that_a_crash_left_half_written_is_traced_again(scene, tmp_path):

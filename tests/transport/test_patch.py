@@ -8,12 +8,13 @@ from transfers import gloss, stored
 
 from torchprt import light
 from torchprt.errors import InputError
-from torchprt.scene import Material, Object, Scene, height_field, make_mesh, samples, tiled
-from torchprt.shade import lay, sample, shader
+from torchprt.scene import Material, Object, Points, Scene, height_field, make_mesh, samples, tiled
+from torchprt.sh import yaw_pitch_roll
+from torchprt.shade import PatchShader, lay, sample, shader
 from torchprt.shade.lobes import lobe_vectors
 from torchprt.transport import bake, bake_patch, patch_transfer
 from torchprt.transport.diffuse import unshadowed
-from torchprt.transport.patch import texel_centres
+from torchprt.transport.patch import _floor, texel_centres
 
 EPS = torch.finfo(torch.float32).eps
 
@@ -196,3 +197,64 @@ def test_a_patch_that_does_not_tile_is_a_map_that_does_not():
 
 def test_a_smooth_patch_is_read_smoothly():
     assert gloss(bake_patch(samples.bumps(8), size=6, rays=64, order=3, lobes=2, smooth=True)).signal.smooth
+
+
+@pytest.mark.filterwarnings("ignore::torchprt.transport.OrderWarning")
+def test_a_glossy_patch_looks_from_an_eye_as_the_turned_relief_does():
+    """Bumps of glossy paint as texels in lobes on a turned square, against points baked on the turned relief itself."""
+    paint, mesh, size = {"albedo": 0.2, "gloss": "ggx:0.4,0.4"}, samples.bumps(16), 3
+    patch = bake_patch(mesh, size=size, order=4, rays=256, lobes=3, around=0, factors=3, **paint)
+    assert patch.receivers.relief is not None
+    rotation = yaw_pitch_roll(torch.tensor([40.0, -30.0, 70.0], dtype=torch.float64))
+    frames, uv = rotation.expand(size * size, 3, 3), texel_centres(size, size)
+
+    def turned(mesh):
+        return make_mesh(mesh.positions @ rotation.mT, mesh.faces)
+
+    texels = patch_transfer(mesh, size=size, order=2, rays=8)
+    places = texels.positions.double()
+    baked = bake(
+        Scene(
+            [
+                Object(turned(mesh), Material(**paint)),
+                Object(turned(_floor(mesh)), Material(0.0), "blocker"),
+            ]
+        ),
+        receivers=Points(
+            places @ rotation.mT,
+            texels.normals.double() @ rotation.mT,
+            paint["albedo"],
+            paint["gloss"],
+            tangents=rotation[:, 0].expand(size * size, 3),
+        ),
+        order=4,
+        rays=256,
+        progress=False,
+        factors=3,
+    )
+    generator = torch.Generator().manual_seed(0)
+    environment = torch.randn(3, 16, 3, generator=generator)
+    eye = (rotation @ torch.tensor([1.5, 0.2, 2.0], dtype=torch.float64)).float()
+    wanted = shader(baked)(environment, eye=eye)
+    found = PatchShader(patch)(environment, uv, frames, eye=eye, positions=places @ rotation.mT)
+    # What three lobes leave of each row, and a ray of 256 here and there at an edge.
+    assert float((found - wanted).norm() / wanted.norm()) < 0.02
+
+
+def test_a_glossy_patch_refuses_what_lobes_cannot_hold():
+    with pytest.raises(InputError, match="frame 'visibility' cannot be held in lobes"):
+        patch_transfer(samples.bumps(8), size=4, gloss="lambert", frame="visibility")
+    with pytest.raises(InputError, match="for glossy materials"):
+        patch_transfer(samples.bumps(8), size=4, rays=8, factors=3)
+
+
+def test_texels_beside_a_glossy_patch_are_those_of_its_border():
+    half = make_mesh(
+        torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [0.5, 1, 0], [0, 1, 0]]), torch.tensor([[0, 1, 2], [0, 2, 3]])
+    )
+    found = patch_transfer(half, size=4, rays=32, order=3, tiles=False, gloss="lambert", output_order=2)
+    assert found.kind == "exit"
+    values, tangents = stored(found)[0].view(4, 4, -1), gloss(found).tangents.view(4, 4, 3)
+    for column in (2, 3):
+        assert torch.equal(values[:, column], values[:, 1])
+        assert torch.equal(tangents[:, column], tangents[:, 1])

@@ -10,7 +10,7 @@ import torch
 
 from torchprt.brdf import Measured, parse
 from torchprt.errors import InputError
-from torchprt.scene import Material, Object, Points, Scene, make_mesh, samples
+from torchprt.scene import Glosses, Material, Object, Points, Scene, make_mesh, samples
 from torchprt.trace import Tracer
 from torchprt.transport import Processes, Threads, bake
 from torchprt.transport.checkpoint import Checkpoint
@@ -78,6 +78,9 @@ POINTS = Points(
     0.8 * torch.rand(700, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64),
     torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64).expand(700, 3),
 )
+SHINING = Points(
+    POINTS.positions, POINTS.normals, 0.2, Glosses((parse("ggx:0.4"), parse("phong:4")), torch.arange(700) % 3 - 1), 0.3
+)
 BAKES = [
     ("diffuse", {}),
     ("diffuse", {"bounces": 2}),
@@ -91,6 +94,8 @@ BAKES = [
     ("glossy", {"factors": 3, "bounces": 1}),
     ("glossy", {"frame": "visibility"}),
     ("glossy", {"receivers": POINTS, "bounces": 2}),
+    ("glossy", {"receivers": SHINING, "bounces": 2}),
+    ("membrane", {"receivers": SHINING, "bounces": 1, "frame": "incident"}),
 ]
 
 

@@ -54,6 +54,15 @@ def _transfer(path: Path) -> list[str]:
     return [f"{path}: {describe(loaded)}", *details(loaded), told]
 
 
+def _d3dx(path: Path) -> list[str]:
+    from torchprt.transfer import load
+
+    loaded = load(path)
+    place = "" if "rows" in loaded.receivers.metadata() else "; give its mesh in Python, transfer.load_d3dx, to draw it"
+    told = f"saved by D3DX, which says neither albedo nor rays nor error{place}"
+    return [f"{path}: {describe(loaded)}", *details(loaded), told]
+
+
 def _graph(path: Path) -> list[str]:
     from torchprt.onnx import describe as of_graph
 
@@ -201,6 +210,7 @@ def _numbers(values: Any) -> str:
 
 READERS: dict[str, Callable[[Path], list[str]]] = {
     ".safetensors": _transfer,
+    **dict.fromkeys((".prt", ".pca"), _d3dx),
     ".onnx": _graph,
     ".npy": _array,
     ".toml": _text,

@@ -15,7 +15,9 @@ from torchprt.errors import InputError
 def info(
     file: Annotated[
         list[Path],
-        typer.Argument(help="Transfers, meshes, images, lights, .npy, .toml, .onnx, pages, stopped bakes, .mp4."),
+        typer.Argument(
+            help="Transfers, .prt, .pca, meshes, images, lights, .npy, .toml, .onnx, pages, stopped bakes, .mp4."
+        ),
     ],
 ) -> None:
     """Say what files hold."""

@@ -28,7 +28,16 @@ def patch(
     order: Annotated[int, typer.Option(min=1, max=64, help="SH bands of the light that it will answer to.")] = 6,
     rays: Annotated[int, typer.Option(min=1, max=1 << 22, help="Rays a texel, over its hemisphere.")] = 1024,
     bounces: Annotated[str, typer.Option(help="How often light is reflected on: 0, 1, 2, ... or inf.")] = "0",
-    albedo: Annotated[str, typer.Option(help="0.5, or r,g,b.")] = "0.5",
+    albedo: Annotated[str | None, typer.Option(help="0.5, or r,g,b.", show_default="0.5, and 0 under a gloss")] = None,
+    material: Annotated[str | None, typer.Option(help="A gloss: ggx:0.3,0.04, phong:40 or a .toml file.")] = None,
+    specular: Annotated[str | None, typer.Option(help="Weight of the gloss: 0.5, or r,g,b.", show_default="1")] = None,
+    factors: Annotated[
+        str | None, typer.Option(help="Gloss: factors of view and light, a fit each: 4, or an error, 0.05.")
+    ] = None,
+    output_order: Annotated[
+        int | None,
+        typer.Option(min=1, max=32, help="Gloss: bands of exit radiance, without factors.", show_default="--order"),
+    ] = None,
     single: Annotated[bool, typer.Option("--single", help="The patch does not tile: its border goes on.")] = False,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
@@ -40,7 +49,12 @@ def patch(
     from torchprt.transport.progress import Bar
 
     check_writable(output, (".safetensors",))
-    count, colour = options.bounces(bounces), options.albedo(albedo)
+    count, colour = options.bounces(bounces), None if albedo is None else options.albedo(albedo)
+    few, paint = options.factors(factors), options.material(material, specular)
+    if paint is not None and len(paint.glosses) != 1:
+        raise InputError(f"--material is '{material}', which is not one gloss: give one, as ggx:0.3,0.04")
+    if paint is None and not (few is None and output_order is None):
+        raise InputError("--factors and --output-order are of a gloss: give --material too")
     if relief.suffix.lower() in MESHES:
         if depth is not None:
             raise InputError(f"--depth is for images: {relief} has its own")
@@ -61,6 +75,10 @@ def patch(
                 bounces=count,
                 shadows=not unshadowed,
                 albedo=colour,
+                gloss=None if paint is None else paint.glosses[0],
+                specular=1.0 if paint is None else paint.specular,
+                factors=few,
+                output_order=output_order,
                 threads=threads,
                 progress=bar,
             )

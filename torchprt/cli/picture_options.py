@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
@@ -15,6 +17,7 @@ from torchprt.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from torchprt.brdf import Brdf
     from torchprt.cli.emitters import LampShader
     from torchprt.preview import Background, Camera, Environment, Orbit, Studio
     from torchprt.shade import Shader
@@ -116,21 +119,36 @@ class PictureOptions:
         """What makes the pictures; of `colours` if they are given, under lamps `near` the model if there are any."""
         from torchprt.preview import Studio, automatic_exposure
 
-        exposure = self.exposure
-        if exposure is None and near is not None:
-            exposure = automatic_exposure(near.brightest(environment.light))
-        return Studio(
-            transfer,
-            shader,
+        shown = self._shown()
+        if self.exposure is None and near is not None:
+            shown["exposure"] = automatic_exposure(near.brightest(environment.light))
+        return Studio(transfer, shader, environment, colours=colours, relight=near, **shown)
+
+    def patch_studio(
+        self, patch: Transfer, mesh: Path, repeat: Sequence[float], brdf: Brdf | None, environment: Environment
+    ) -> Studio:
+        """What makes pictures of a patch on a mesh, read at every pixel."""
+        from torchprt.preview import PatchStudio
+        from torchprt.scene import read_mesh
+
+        surface = read_mesh(mesh)
+        if surface.uv is None:
+            raise InputError(f"{mesh} has no texture coordinates: unwrap it (a patch is laid on through them)")
+        return PatchStudio(
+            patch,
+            surface.positions,
+            surface.faces.int(),
+            surface.uv,
             environment,
-            size=self.size,
-            exposure=exposure,
-            tone=self.tone,
-            background=self.background,
-            samples=self.samples,
-            colours=colours,
-            relight=near,
+            normals=surface.normals,
+            repeat=(repeat[0], repeat[1]),
+            brdf=brdf,
+            **self._shown(),
         )
+
+    def _shown(self) -> dict[str, Any]:
+        names = ("size", "exposure", "tone", "background", "samples")
+        return {name: getattr(self, name) for name in names}
 
     def _held(self) -> dict[str, Any]:
         width, height = self.size

@@ -55,6 +55,13 @@ def render(
     material: Annotated[
         str | None, typer.Option(help="That of the mesh as in bake; or the gloss, for a bake of frame incident.")
     ] = None,
+    on: Annotated[
+        Path | None,
+        typer.Option("--on", help="A mesh with texture coordinates that a patch covers, read at every pixel."),
+    ] = None,
+    repeat: Annotated[
+        str | None, typer.Option(help="With --on: patches from 0 to 1 along u,v.", show_default="1,1")
+    ] = None,
     with_ground: bake_options.WithGround = False,
     repair: asked.Repair = False,
     bake: bake_options.Keep = None,
@@ -100,6 +107,11 @@ def render(
     )
     lamps = emitters(emitter)
     options.choice(show, "--show", SHOWN)
+    if repeat is not None and on is None:
+        raise InputError("--repeat is for a patch on a mesh: name the mesh with --on")
+    if on is not None and show != SHOWN[0]:
+        raise InputError(f"--show is {show}, but a patch has no vertices: leave it or --on out")
+    times = options.numbers("1,1" if repeat is None else repeat, 2, "--repeat")
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
     if picture.background == "transparent" and ends not in TRANSPARENT:
@@ -113,15 +125,23 @@ def render(
         "ground_albedo": ground_albedo,
     }
     opened = Source(source, bake, given)
+    if on is not None and opened.scene is not None:
+        raise InputError(f"--on is given, but {source[0]} is a mesh: give a patch that `torchprt patch` wrote")
+    if on is not None and lamps:
+        raise InputError("--emitter is given, but a patch is lit by one light from far away: leave it or --on out")
     environment = picture.environment(opened.order, bool(lamps) and light is None)
     loaded = with_points(opened.transfer(), lamps)
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
     colours = preview.sight_colours(loaded.receivers) if show == "sight" else None
-    shader = prt.shader(loaded, brdf=chosen)
-    near = LampShader(shader, loaded, lamps) if lamps else None
-    studio = picture.studio(loaded, shader, environment, colours, near)
+    if on is None:
+        shader = prt.shader(loaded, brdf=chosen)
+        near = LampShader(shader, loaded, lamps) if lamps else None
+        studio = picture.studio(loaded, shader, environment, colours, near)
+    else:
+        studio = picture.patch_studio(loaded, on, times, chosen, environment)
+        loaded = studio.transfer
     if turntable:
         pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
     elif light_turntable:

@@ -198,6 +198,8 @@ def _clusters(transfer: Transfer, layer: Layer) -> list[str]:
         return []
     clusters, vectors = len(parts["mean"]), len(parts["basis"])
     lost = f"compression error {about['compression_error'] or 0:.2%} (relative RMS)"
+    if about["method"] == "D3DX":
+        lost = "compression error not known"
     first = f"{count(clusters, 'cluster')} ({about['method']}), {vectors / clusters:.3g} PCA vectors each, {lost}"
     if len(parts["shared"]):
         first += f", in {count(len(parts['shared']), 'shared axis')}"

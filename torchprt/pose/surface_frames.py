@@ -26,7 +26,7 @@ def surface_frames(
     Laws: turning the positions turns the frames; neither scale of the surface nor of the coordinates matters.
     Raises InputError if there are no texture coordinates, some are missing, or shapes do not fit.
     """
-    corners = _corner_uv(faces, uv, positions.shape[-2])
+    corners = corner_uv(faces, uv, positions.shape[-2])
     corners = torch.where(torch.isfinite(corners), corners, 0).to(positions)
     points = positions[..., faces.flatten(), :].unflatten(-2, (-1, 3))
     # Areas of a surface of size 1e-30 would be too small for a number, of 1e30 too large.
@@ -61,7 +61,7 @@ def vertex_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertic
     """
     if uv is not None and uv.shape == (vertices, 2) and not len(faces):
         return uv
-    corners = _corner_uv(faces, uv, vertices)
+    corners = corner_uv(faces, uv, vertices)
     first = first_corner(faces, vertices)
     missing = ~torch.isfinite(corners).all(-1).flatten()
     if bool(missing.any()):
@@ -72,7 +72,8 @@ def vertex_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertic
     return pairs[first]
 
 
-def _corner_uv(faces: Tensor, uv: Tensor | None, vertices: int) -> Float[Tensor, "F 3 2"]:
+def corner_uv(faces: Int[Tensor, "F 3"], uv: Float[Tensor, "..."] | None, vertices: int) -> Float[Tensor, "F 3 2"]:
+    """Texture coordinates of the corners of faces. InputError without them, or if they do not fit."""
     if uv is None:
         raise InputError("surface has no texture coordinates: unwrap it (a patch is laid on through them)")
     if uv.shape == (len(faces), 3, 2):

@@ -14,6 +14,7 @@ from .lobe import Lobe, lobe
 from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
 from .orbit import Orbit
+from .per_pixel import PatchStudio
 from .picture import Still, save_png
 from .relight import Relight
 from .saving import save_movie, save_picture
@@ -33,6 +34,7 @@ __all__ = [
     "Environment",
     "Lobe",
     "Orbit",
+    "PatchStudio",
     "Picture",
     "Relight",
     "Session",

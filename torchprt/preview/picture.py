@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from dataclasses import dataclass
 
@@ -79,9 +80,12 @@ class Still:
         solid = torch.ones(len(u)) if opacity is None else (opacity.float()[corners] * weights).sum(-1).clamp(0, 1)
         self._vertices = len(positions)
         self._corners = corners.flatten()
+        # Where the rays met the model: face, places in it and what of a pixel each stands for.
+        self._hits = (triangle, weights, torch.where(front, solid / samples, 0))
+        self._counts = seen.sum(1)
         # What each corner of each hit adds to its pixel; hits lie in the order of the pixels.
         self._weights = torch.where(front[:, None], weights * (solid[:, None] / samples), 0).flatten()
-        self._starts = 3 * torch.cat([torch.zeros(1, dtype=torch.int64), seen.sum(1).cumsum(0)])
+        self._starts = 3 * torch.cat([torch.zeros(1, dtype=torch.int64), self._counts.cumsum(0)])
         self._through = torch.where(hits.triangle < len(faces), 1.0, 0.0).masked_scatter_(seen, 1 - solid)
         self._sky: _Sky | None = None
         self._tint: Tensor | None = None
@@ -102,6 +106,20 @@ class Still:
         x = torch.arange(width, dtype=torch.float64)[None, :, None] + across
         y = torch.arange(height, dtype=torch.float64)[:, None, None] + down
         return self.camera.through(x, y, width, height)
+
+    @property
+    def hits(self) -> tuple[Int[Tensor, "E"], Float[Tensor, "E 3"]]:
+        """Of every ray that met the model the face, and the weights of its three corners there."""
+        return self._hits[0], self._hits[1]
+
+    def of_hits(self) -> Still:
+        """The same picture of a radiance for every one of the `hits`, in place of every vertex."""
+        triangle, _, share = self._hits
+        made = copy.copy(self)
+        made._vertices, made._corners, made._weights = len(triangle), torch.arange(len(triangle)), share
+        made._starts = torch.cat([torch.zeros(1, dtype=torch.int64), self._counts.cumsum(0)])
+        made._tint = None if self._tint is None else self._tint[::3]
+        return made
 
     @property
     def sky(self) -> Float[Tensor, "E 3"]:

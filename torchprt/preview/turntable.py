@@ -82,13 +82,16 @@ class Studio:
         if self._colours is not None:
             radiance, exposure, tone = self._colours, 0.0, "none"
         elif radiance is None:
-            eye = torch.tensor(camera.eye, dtype=torch.float64)
-            radiance = self._relight(rotate(self.environment.light, rotation), eye)
+            still, radiance = self.shaded(camera, rotate(self.environment.light, rotation))
         sky = self._surroundings(camera, still.sky, rotation)
         if self.background == "transparent":
             return still.cutout(radiance.float(), exposure=exposure, tone=tone, sky=sky)
         behind = self._behind(camera, rotation)
         return still.picture(radiance.float(), exposure=exposure, tone=tone, background=behind, sky=sky)
+
+    def shaded(self, camera: Camera, light: Float[Tensor, "N 3"]) -> tuple[Still, Float[Tensor, "V 3"]]:
+        """What a camera sees, and its radiance under a light: a `Still` and what its `radiance` makes pixels of."""
+        return self._look(camera), self._relight(light, torch.tensor(camera.eye, dtype=torch.float64))
 
     def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:

@@ -15,6 +15,7 @@ from .light_field import under_field
 from .local_light import LocalLightShader, local_light_shader
 from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
+from .patch_shader import PatchShader
 from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
@@ -40,6 +41,7 @@ __all__ = [
     "LocalLightShader",
     "Making",
     "NeighbourhoodShader",
+    "PatchShader",
     "PhongReceiving",
     "Receiving",
     "Regions",

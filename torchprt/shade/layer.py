@@ -86,7 +86,7 @@ class LayerModule(KeepsSingle, abc.ABC):
         """Radiance `[*B, 3, G]` under lights of the world, toward the eyes of `values`, in poses; in the dtype of the
         weight, as everything that it is made of."""
         light, weight = self.lit(light), self.weight
-        if len(weight) == 1:
+        if weight.shape[0] == 1:
             # One weight for all receivers: applied to N numbers instead of G.
             return self.sent(light * weight, values, frames, out).to(weight.dtype)
         radiance = self.sent(light, values, frames, out)

@@ -1,6 +1,7 @@
 """What a bake leaves: receivers, layers and signals, and one file format."""
 
 from .clustered import Clustered
+from .d3dx import load_d3dx
 from .dense import Dense
 from .file import FORMAT, load, save
 from .grid import Grid, grid_in
@@ -36,5 +37,6 @@ __all__ = [
     "diffuse_transfer",
     "grid_in",
     "load",
+    "load_d3dx",
     "save",
 ]

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.files import atomic
 from torchprt.suffixes import check_readable, refuse_other
+from torchprt.transfer.d3dx import SUFFIXES, load_d3dx
 from torchprt.transfer.format1 import from_format1
 from torchprt.transfer.layer import Layer
 from torchprt.transfer.layout import Part
@@ -65,11 +66,14 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
 def load(path: str | os.PathLike[str]) -> Transfer:
     """Reads a transfer that `save` wrote, of this format or an older one; the tensors are on the CPU.
 
+    A `.prt` or `.pca` that D3DX saved is read as `load_d3dx` does without a mesh.
     Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of a newer format, holds a
     kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
     value that is not finite.
     """
     path = check_readable(path, "give a file that `torchprt bake` wrote")
+    if path.suffix.lower() in SUFFIXES:
+        return load_d3dx(path)
     refuse_other(path, "a transfer")
     try:
         with safe_open(path, framework="pt") as file:

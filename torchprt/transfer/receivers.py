@@ -241,15 +241,18 @@ class Texels(Receivers):
     x runs along u, y along v, z along the normal of whatever the patch is laid on. Texel (row, column) is centred at
     v = (row + .5) / rows, u = (column + .5) / columns: that is where its place on the flat patch is.
     `tiles_u`, `tiles_v`: whether the patch repeats itself beyond 0 and 1; else its border goes on.
+    `relief [V, 3]`: unit normals of the relief, which the frames of glossy layers are about; None where they are all z.
     Raises InputError without texels.
     """
 
     kind: ClassVar[str] = "texels"
+    layouts: ClassVar[dict[str, Layout]] = {"relief": Layout(("V", "3"), REAL, optional=True)}
 
     rows: int
     columns: int
     tiles_u: bool = True
     tiles_v: bool = True
+    relief: Tensor | None = None
     positions: Any = None
     normals: Any = None
     faces: Any = None
@@ -259,7 +262,12 @@ class Texels(Receivers):
         if self.rows < 1 or self.columns < 1:
             raise InputError(f"map of the transfer has {self.rows} x {self.columns} texels: it must have 1 x 1 or more")
         self.positions, self.faces = _grid(self.rows, self.columns)
-        self.normals = torch.tensor([0.0, 0.0, 1.0]).expand(self.count, 3)
+        if self.relief is not None and len(self.relief) != self.count:
+            raise InputError(
+                f"tensor 'relief' of the transfer holds {len(self.relief)} normals for {self.rows} x {self.columns} "
+                "texels: bake the patch again"
+            )
+        self.normals = torch.tensor([0.0, 0.0, 1.0]).expand(self.count, 3) if self.relief is None else self.relief
 
     def metadata(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("rows", "columns", "tiles_u", "tiles_v")}

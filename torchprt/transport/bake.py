@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-import torch
-from torch import Tensor
 
 from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
@@ -25,17 +21,17 @@ from torchprt.transport.bake_glossy import Frame, Wanted
 from torchprt.transport.bounces import Bounces, check_bounces, followed
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
-from torchprt.transport.diffuse_tasks import Job, Record
+from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.mirrors import warn_of_cut
+from torchprt.transport.points import among, at_points, bake_points
 from torchprt.transport.progress import Bar
-from torchprt.transport.receivers import Receivers
 from torchprt.transport.sight import with_sight
-from torchprt.transport.solve import Solution, exit_radiance, solve, surfaces, trace, vertex_receivers
+from torchprt.transport.solve import solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
-from torchprt.transport.task import CHUNK, Runner, chunks
+from torchprt.transport.task import CHUNK, Runner
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
@@ -70,7 +66,8 @@ def bake(
       transfer (RMS), or "auto" until one adds less than 1e-2, which is none at all where nothing reflects, without
       shadows and in the frame "visibility". `bounces` of the result is how many it took. `shadows=False` gives the
       closed form without any ray.
-    - `receivers`: points to record at instead of the scene's vertices; bounces still run over the vertices.
+    - `receivers`: points to record at instead of the scene's vertices, of an albedo and a gloss of their own; all
+      bounces but the last still run over the vertices.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
@@ -89,7 +86,7 @@ def bake(
     - `factors`: a number of view factors in place of exit functions, or (a float) the error that they may leave:
       `Factored`; one material.
     - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
-    Diffuse and glossy surfaces light each other, from the same rays. Points record diffuse transfer alone.
+    Diffuse and glossy surfaces light each other, from the same rays.
 
     Light that meets a mirror goes on from both of its sides, up to `trace.REFLECTIONS` times from mirror to mirror;
     what is cut off then is `cut` of the result, a share of what could arrive, and a `MirrorWarning` above 0.1 %.
@@ -115,20 +112,21 @@ def bake(
     geometry = scene.geometry()
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
-    is_glossy = scene.requires().kind == "glossy"
+    recorded = geometry if receivers is None else among(receivers, geometry)
+    is_glossy = scene.requires().kind == "glossy" or len(recorded.glossy) > 0
     bounces, enough = followed(bounces, geometry, can=shadows and not (is_glossy and frame == "visibility"))
     if is_glossy:
-        bake_glossy.check(wanted, geometry, bounces)
+        bake_glossy.check(wanted, recorded, bounces)
     elif wanted != Wanted("exit", order, "optimal", None, order):
         raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
     if not shadows:
-        if is_glossy and receivers is None:
-            return bake_glossy.bake_unshadowed(geometry, wanted, order, membranes)
-        normals = geometry.receiver_normals if receivers is None else receivers.normals
-        vectors = unshadowed(normals, order)
-        if membranes is not None and receivers is None:
-            vectors = membranes.through(vectors.T).T
-        return result.diffuse(geometry, receivers, vectors[None], transport="unshadowed")
+        through = membranes if receivers is None else None
+        if is_glossy and (receivers is None or len(recorded.glossy)):
+            return bake_glossy.bake_unshadowed(recorded, wanted, order, through)
+        vectors = unshadowed(recorded.receiver_normals, order)
+        if through is not None:
+            vectors = through.through(vectors.T).T
+        return result.diffuse(recorded, vectors[None], transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = scene.requires(bounces).channels
     everything, validity = vertex_receivers(geometry, tracer), None
@@ -140,43 +138,32 @@ def bake(
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
             report = stack.enter_context(Bar())
-        store = stack.enter_context(store_of(folder, job, geometry, receivers, bounces, wanted if is_glossy else None))
+        points = None if receivers is None else recorded
+        store = stack.enter_context(store_of(folder, job, geometry, points, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
         stages = Stages(runner, report, store)
         baked: Transfer
-        if is_glossy and receivers is None:
+        if points is not None and (len(points.glossy) or (bounces and len(geometry.glossy))):
+            baked = bake_points(job, geometry, points, wanted, bounces, stages)
+        elif is_glossy and points is None:
             baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, stages)
         else:
-            baked = _diffuse(job, geometry, receivers, wanted, bounces, stages)
+            baked = _diffuse(job, geometry, points, bounces, stages)
         if store is not None and not keep:
             store.discard()
     warn_of_cut(baked.cut)
     return baked
 
 
-def _diffuse(
-    job: Job,
-    geometry: Geometry,
-    receivers: Points | None,
-    wanted: Wanted,
-    bounces: int | float,
-    stages: Stages,
-) -> Transfer:
-    if receivers is None:
+def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int | float, stages: Stages) -> Transfer:
+    if points is None:
         solution = solve(job, geometry.albedo, bounces, stages)
-        error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
-    elif bounces and len(geometry.glossy):
-        origins = job.tracer.origins(receivers.positions, receivers.normals)
-        points = Receivers(receivers.positions, receivers.normals, origins)
-        transfer, count = bake_glossy.bake_points(job, points, geometry, wanted, bounces, stages)
-        solution, error, signal = Solution(transfer, transfer, None, count), None, None
     else:
-        job, solution = _at_points(job, receivers, geometry.albedo, bounces, stages)
-        error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
+        job, solution = at_points(job, geometry, points, bounces, stages)
+    error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
     return result.diffuse(
-        geometry,
-        receivers,
+        geometry if points is None else points,
         solution.transfer,
         job.validity,
         transport="interreflected" if solution.bounces else "shadowed",
@@ -213,30 +200,12 @@ def check_numbers(
         raise InputError("threads and a runner are both given: leave one of the two out")
 
 
-def _at_points(job: Job, points: Points, albedo: Tensor, bounces: int | float, stages: Stages) -> tuple[Job, Solution]:
-    """Transfer at points: all bounces but the last run over the vertices, the last gathers to the points."""
-    origins = job.tracer.origins(points.positions, points.normals)
-    here = dataclasses.replace(job, receivers=Receivers(points.positions, points.normals, origins), validity=None)
-    if not bounces:
-        transfer, cut = trace(here, stages, keep_hits=False)
-        return here, Solution(transfer, transfer, cut=cut)
-    over_vertices = solve(job, albedo, bounces - 1, stages)
-    exitant = exit_radiance(over_vertices.transfer.expand(job.channels, -1, -1), albedo)
-    tasks = [Record(rows, job.rays, job.seed) for rows in chunks(len(here.receivers))]
-    transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
-    # The store numbers the chunks of the points after those of the vertices.
-    first = len(chunks(len(job.receivers)))
-    for task, found in stages.run("points", tasks, here, exitant, first=first):
-        transfer[:, :, task.index] = found["transfer"]
-    return here, Solution(transfer, transfer, exitant, over_vertices.bounces + 1, over_vertices.cut)
-
-
 @contextlib.contextmanager
 def store_of(
     folder: Path | None,
     job: Job,
     geometry: Geometry,
-    points: Points | None,
+    points: Geometry | None,
     bounces: int | float,
     wanted: Wanted | None,
     **more: Any,
@@ -260,14 +229,16 @@ def store_of(
         **more,
     }
     if wanted is not None:
-        contents += [geometry.glossy, geometry.gloss_of_glossy, geometry.tangents]
         parameters["glossy"] = repr(wanted)
         # The values, not the text: tables have no text of their own.
         probes = hemisphere(64)
-        contents += [brdf(probes[:, None], probes) for brdf in geometry.gloss]
+        for each in (geometry,) if points is None else (geometry, points):
+            contents += [each.glossy, each.gloss_of_glossy, each.tangents]
+            contents += [brdf(probes[:, None], probes) for brdf in each.gloss]
     if points is not None:
-        # What the points gather has bounced already; elsewhere bounces and albedo enter after tracing.
-        contents += [points.positions, points.normals, geometry.albedo]
+        # What the points gather has bounced already; elsewhere bounces and what reflects enter after tracing.
+        contents += [points.receiver_positions, points.receiver_normals]
+        contents += [geometry.albedo, geometry.specular, geometry.translucency]
         parameters["bounces"] = bounces
         parameters["enough"] = job.enough
     store = Checkpoint(folder, fingerprint(contents, parameters))

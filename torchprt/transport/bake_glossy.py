@@ -20,14 +20,13 @@ from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import glossy_error_and_signal
 from torchprt.transport.glossy import glossy
-from torchprt.transport.glossy_tasks import GlossyJob, GlossyRecord
+from torchprt.transport.glossy_tasks import GlossyJob
 from torchprt.transport.membrane import Sheets
-from torchprt.transport.receivers import Receivers, tangent_frames
+from torchprt.transport.receivers import tangent_frames
 from torchprt.transport.rows import Recording
 from torchprt.transport.solve import channels_first
-from torchprt.transport.solve_glossy import exitant, solve
+from torchprt.transport.solve_glossy import GlossySolution, solve
 from torchprt.transport.stages import Stages
-from torchprt.transport.task import chunks
 from torchprt.transport.visibility import on_the_fly, product_error
 from torchprt.version import VERSION
 
@@ -64,7 +63,7 @@ def check(wanted: Wanted, geometry: Geometry, bounces: int | float) -> None:
         raise InputError(f"factors go with the frame 'exit', not '{wanted.frame}': leave one of the two out")
     one = "factors" if wanted.factors is not None else "frame 'visibility'" if wanted.frame == "visibility" else ""
     if one and len(geometry.gloss) > 1:
-        raise InputError(f"{one} takes one glossy material but the scene has {len(geometry.gloss)}: bake them apart")
+        raise InputError(f"{one} takes one glossy material but there are {len(geometry.gloss)}: bake them apart")
     if wanted.frame == "visibility" and bounces:
         raise InputError("frame 'visibility' holds shadows alone: leave the bounces out, or bake matrices")
     if wanted.frame == "visibility" and len(geometry.reflectance):
@@ -117,10 +116,22 @@ def bake_vertices(job: Job, geometry: Geometry, wanted: Wanted, bounces: int | f
     """Transfer at the vertices of a scene that has glossy ones."""
     worst = warn_of_order(wanted, geometry, job.order, bounces)
     task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
-    solution = solve(task, bounces, stages)
+    return finished(task, geometry, wanted, solve(task, bounces, stages), worst, stages)
+
+
+def finished(
+    task: GlossyJob,
+    geometry: Geometry,
+    wanted: Wanted,
+    solution: GlossySolution,
+    worst: float | None,
+    stages: Stages,
+) -> Transfer:
+    """Transfer of what arrived at the receivers of `geometry`, some of them glossy, with the estimate of its error."""
+    job = task.job
     if not solution.bounces and job.channels > job.surfaces.channels:
         job = dataclasses.replace(job, channels=job.surfaces.channels)
-        task = dataclasses.replace(task, job=dataclasses.replace(task.job, channels=1))
+        task = dataclasses.replace(task, job=job)
     error, signal = glossy_error_and_signal(task, solution, stages)
     transfer = _transfer(
         geometry,
@@ -166,23 +177,6 @@ def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Shee
     return _transfer(geometry, wanted, recording, receivers, shown, matrix, worst, transport="unshadowed")
 
 
-def bake_points(
-    job: Job, points: Receivers, geometry: Geometry, wanted: Wanted, bounces: int | float, stages: Stages
-) -> tuple[Tensor, int]:
-    """Diffuse transfer `[C, N, points]` at points among glossy surfaces, and the bounces that it holds."""
-    wanted = dataclasses.replace(wanted, frame="exit", projection="optimal", factors=None)
-    task = job_of(job, geometry, recording_of(wanted, geometry, job.order))
-    solution = solve(task, bounces - 1, stages)
-    sent = exitant(task, solution.arrived)
-    tasks = [GlossyRecord(rows, job.rays, job.seed) for rows in chunks(len(points))]
-    transfer = torch.empty(len(points), job.channels * job.order**2)
-    # The store numbers the chunks of the points after those of the vertices.
-    first = len(chunks(len(job.receivers)))
-    for chunk, found in stages.run("points", tasks, task, sent, points, first=first):
-        transfer[chunk.index] = found["transfer"]
-    return channels_first(transfer, job.channels), solution.bounces + 1
-
-
 def _transfer(
     geometry: Geometry,
     wanted: Wanted,
@@ -195,11 +189,12 @@ def _transfer(
 ) -> Transfer:
     """Transfer of diffuse vectors `shown [C, N, V]` and of the matrices that `arrived [G, R, C * N]`."""
     layers: dict[str, Layer] = {}
-    if bool((geometry.albedo > 0).any()):
+    if bool((geometry.albedo > 0).any()) or not len(geometry.glossy):
         diffuse = Dense(values=shown.contiguous())
         layers["diffuse"] = Diffuse(albedo=result.uniform(geometry.albedo), signal=diffuse)
-    layer = _eye_layer(geometry, wanted, recording, shown.shape[0], arrived, worst)
-    layers[layer.kind] = layer
+    if len(geometry.glossy):
+        layer = _eye_layer(geometry, wanted, recording, shown.shape[0], arrived, worst)
+        layers[layer.kind] = layer
     return Transfer(receivers=receivers, layers=layers, version=VERSION, **metadata)
 
 

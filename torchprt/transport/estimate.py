@@ -40,17 +40,23 @@ def error_and_signal(
 def glossy_error_and_signal(
     task: GlossyJob, solution: GlossySolution, stages: Stages
 ) -> tuple[float | None, float | None]:
-    """RMS error of an entry of the matrices, and RMS of an entry over all glossy receivers; as `error_and_signal`."""
-    matrix = solution.arrived.matrix
-    alive, sample = _spread(task.job, task.glossy.receivers)
+    """RMS error of an entry of the matrices, and RMS of an entry over all glossy receivers; as `error_and_signal`.
+
+    Of the vectors, and over all receivers, if none is glossy."""
+    name, rows, number, arrived = "matrix", task.glossy.receivers, task.glossy.number, solution.arrived.matrix
+    if not len(rows):
+        rows = number = torch.arange(len(task.job.receivers))
+        name, arrived = "transfer", solution.arrived.diffuse[:, None]
+    alive, sample = _spread(task.job, rows)
     if not alive:
         return None, None
     tasks = [GlossyRecord(rows, *_finer(task.job)) for rows in sample]
     sums = []
     for some, better in stages.run("error", tasks, task, solution.exitant):
-        sums.append(_square(matrix[task.glossy.number[some.index]] - better["matrix"], (1, 2)))
+        difference = arrived[number[some.index]] - better[name].view(-1, *arrived.shape[1:])
+        sums.append(_square(difference, (1, 2)))
     task.once.forget()
-    return _figures(sums, sample, matrix, matrix[0].numel() * alive)
+    return _figures(sums, sample, arrived, arrived[0].numel() * alive)
 
 
 def _finer(job: Job) -> tuple[int, int]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.transport.diffuse_tasks import Job, TracingTask
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.glossy import Arrivals, Exitant, Glossy, Tables, gathered, shadowed, tables
-from torchprt.transport.receivers import Receivers
 from torchprt.transport.rows import Recording
 from torchprt.transport.task import Once, Results
 from torchprt.transport.validity import Validity
@@ -26,6 +24,7 @@ class GlossyJob:
     """What a glossy bake is made of: the job of all receivers, which of them are glossy, and what they record.
 
     `albedo [V, 1 or 3]`, `specular [G, 1 or 3]`: what surfaces that are hit reflect.
+    `hit`: the glossy receivers of these surfaces, if others record.
     """
 
     job: Job
@@ -35,6 +34,7 @@ class GlossyJob:
     specular: Float[Tensor, "G S"]
     validity: Validity | None = None
     """That of the glossy receivers among themselves."""
+    hit: Glossy | None = None
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def filled(self, matrix: Float[Tensor, "G R W"]) -> Float[Tensor, "G R W"]:
@@ -86,20 +86,18 @@ class GlossyTrace(TracingTask):
 @dataclass(frozen=True)
 class GlossyRecord(TracingTask):
     """Vectors "transfer" `[v, C * N]` and, where receivers are glossy, "matrix" `[g, R, C * N]`: direct light plus one
-    gather of what all receivers send out, if they do; traced anew. With `points` it is these that record, all diffuse.
-    """
+    gather of what the surfaces that are hit send out, if they do; traced anew."""
 
-    def compute(self, task: GlossyJob, sent: Exitant | None, points: Receivers | None = None) -> dict[str, Tensor]:
+    def compute(self, task: GlossyJob, sent: Exitant | None) -> dict[str, Tensor]:
         job, (set_of,) = task.job, task.tables(self.rays, self.seed, "wanted")
-        some = (job.receivers if points is None else points)[self.index]
-        material = torch.full((len(some),), -1) if points is not None else task.glossy.material[self.index]
+        some, material = job.receivers[self.index], task.glossy.material[self.index]
         direct, (matrix,), arrivals, _ = shadowed(
             job.tracer, job.surfaces, some, material, set_of, keep_hits=sent is not None
         )
         more = job.channels // len(direct)
         diffuse, matrix = direct.permute(2, 0, 1).flatten(1).repeat(1, more), matrix.repeat(1, 1, more)
         if sent is not None and arrivals is not None:
-            other, further = gathered(arrivals, sent, task.glossy, job.surfaces, some, material, set_of)
+            other, further = gathered(arrivals, sent, task.hit or task.glossy, job.surfaces, some, material, set_of)
             diffuse, matrix = diffuse + other, matrix + further
         return {"transfer": diffuse, **({"matrix": matrix} if len(matrix) else {})}
 

@@ -22,7 +22,6 @@ from torchprt.scene.geometry import gather
 from torchprt.sh import clamped_cosine, zonal
 from torchprt.trace import Tracer
 from torchprt.transfer import Dense, Grid, Neighbourhood, Sight, Transfer, grid_in
-from torchprt.transport import bake_glossy, solve_glossy
 from torchprt.transport.bake import check_numbers, store_of
 from torchprt.transport.bake_glossy import Wanted
 from torchprt.transport.bounces import Bounces, followed
@@ -33,6 +32,7 @@ from torchprt.transport.glossy import Exitant, Glossy
 from torchprt.transport.membrane import sheets
 from torchprt.transport.mirrors import mean_cut, warn_of_cut
 from torchprt.transport.neighbourhood_tasks import Around, Surround
+from torchprt.transport.points import among, sent_by_glossy
 from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import exit_radiance, solve, surfaces, vertex_receivers
@@ -118,7 +118,7 @@ def bake_neighbourhood(
     job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
     wanted = Wanted("exit", order, "optimal", None, order) if len(geometry.glossy) else None
     positions = place.positions
-    points = Points(positions, torch.zeros_like(positions))
+    points = among(Points(positions, torch.zeros_like(positions)), geometry)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -212,9 +212,8 @@ def _sent(
     if not bounces:
         return diffuse, None, 0
     if wanted is not None:
-        task = bake_glossy.job_of(job, geometry, bake_glossy.recording_of(wanted, geometry, job.order))
-        solution = solve_glossy.solve(task, bounces - 1, stages)
-        return task.glossy, solve_glossy.exitant(task, solution.arrived), solution.bounces + 1
+        glossy, sent, done, _ = sent_by_glossy(job, geometry, wanted, bounces, stages)
+        return glossy, sent, done
     over = solve(job, geometry.albedo, bounces - 1, stages)
     table = exit_radiance(over.transfer.expand(job.channels, -1, -1), geometry.albedo)
     if not bool(table.any()):

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
+from torchprt.brdf import Brdf
 from torchprt.compression import fit
 from torchprt.errors import InputError
 from torchprt.progress import Report
@@ -17,6 +18,7 @@ from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer
 from torchprt.transfer import Texels, Transfer, Vertices
 from torchprt.transport.bake import bake
+from torchprt.transport.bake_glossy import Frame
 
 # Half the side of the floor under a patch, in tiles: a ray that leaves a relief of depth .1 sideways and downward meets
 # it unless it sinks less than one part in six hundred.
@@ -41,9 +43,12 @@ def bake_patch(
     vectors = patch_transfer(mesh, size=size, **options)
     progress = options.get("progress", False)
     report = None if isinstance(progress, bool) else progress
-    texels = fit(vectors, lobes=lobes, smooth=smooth, restarts=restarts, report=report)
+    fitted = fit(vectors, lobes=lobes, smooth=smooth, restarts=restarts, report=report)
     tiles = bool(options.get("tiles", True))
-    return dataclasses.replace(texels, receivers=Texels(rows=rows, columns=columns, tiles_u=tiles, tiles_v=tiles))
+    # The frames of a gloss are about the normals of the relief.
+    relief = vectors.normals.contiguous() if "eye" in vectors.needs else None
+    texels = Texels(rows=rows, columns=columns, tiles_u=tiles, tiles_v=tiles, relief=relief)
+    return dataclasses.replace(fitted, receivers=texels)
 
 
 def patch_transfer(
@@ -56,7 +61,12 @@ def patch_transfer(
     rays: int = 1024,
     bounces: int | float = 0,
     shadows: bool = True,
-    albedo: Albedo = 0.5,
+    albedo: Albedo | None = None,
+    gloss: Brdf | str | None = None,
+    specular: Albedo = 1.0,
+    frame: Frame = "exit",
+    output_order: int | None = None,
+    factors: int | float | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: bool | Report = False,
@@ -70,16 +80,20 @@ def patch_transfer(
     under the horizon.
 
     The vectors are in the tangent frame of what the patch will be laid on, which is that of the square. Positions and
-    normals are those of the relief; faces join neighbouring texels, also around the square if it tiles. `albedo` is
-    one colour of the whole patch; with `bounces` copies reflect too, the floor is black.
-    `order`, `rays`, `bounces`, `shadows`, `seed`, `threads`, `progress`: as in `bake`.
+    normals are those of the relief; faces join neighbouring texels, also around the square if it tiles. `albedo`,
+    `gloss` and `specular` are one paint of the whole patch, as of a `Material`; tangents follow u. With `bounces`
+    copies reflect too, the floor is black.
+    `order`, `rays`, `bounces`, `shadows`, `frame`, `output_order`, `factors`, `seed`, `threads`, `progress`: as in
+    `bake`; visibility cannot be held in lobes. A few factors cost a fit a row each, exit functions 25 at order 5.
     Raises InputError as `bake` and `tiled` do, if `size` is below 2, or if no texel meets the patch.
     """
     rows, columns = (size, size) if isinstance(size, int) else size
     if min(rows, columns) < 2:
         raise InputError(f"size is {rows} x {columns}: give at least 2 texels a side")
     many = tiled(mesh, around) if tiles else mesh
-    material = Material(albedo)
+    if frame not in ("exit", "incident"):
+        raise InputError(f"frame '{frame}' cannot be held in lobes, which patches are of: give 'exit' or 'incident'")
+    material = Material(albedo, gloss=gloss, specular=specular)
     if len(torch.as_tensor(material.albedo_of(mesh)).unique(dim=0)) > 1:
         raise InputError(f"albedo of {mesh.name} differs from vertex to vertex: give one colour for the patch")
     receivers, covered = _texels(many, rows, columns, material)
@@ -95,9 +109,11 @@ def patch_transfer(
         seed=seed,
         threads=threads,
         progress=progress,
+        frame=frame,
+        output_order=output_order,
+        factors=factors,
     )
     nearest = _nearest(covered.view(rows, columns))
-    diffuse = baked.layers["diffuse"]
     return dataclasses.replace(
         baked,
         receivers=Vertices(
@@ -105,7 +121,7 @@ def patch_transfer(
             normals=baked.normals[nearest],
             faces=_neighbours(rows, columns, tiles),
         ),
-        layers={"diffuse": diffuse.replace(signal=diffuse.signal.take(nearest))},
+        layers={name: layer.take(nearest, None) for name, layer in baked.layers.items()},
     )
 
 
@@ -128,7 +144,8 @@ def _texels(mesh: Mesh, rows: int, columns: int, material: Material) -> tuple[Po
     positions = torch.where(covered[:, None], positions, above)
     normals = torch.where(covered[:, None], normals, 0.0)
     albedo = material.albedo_of(mesh)[:1].expand(len(positions), -1)
-    return Points(positions, normals, albedo), covered
+    along_u = torch.tensor([1.0, 0.0, 0.0]).expand(len(positions), 3)
+    return Points(positions, normals, albedo, material.gloss, material.specular, along_u), covered
 
 
 def _floor(mesh: Mesh) -> Mesh:

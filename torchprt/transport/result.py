@@ -8,22 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchprt.scene import Geometry, Points
+from torchprt.scene import Geometry
 from torchprt.transfer import Dense, Diffuse, Transfer, Vertices
 from torchprt.transport.validity import Validity
 from torchprt.version import VERSION
 
 
-def diffuse(
-    geometry: Geometry, points: Points | None, vectors: Tensor, validity: Validity | None = None, **metadata: Any
-) -> Transfer:
-    """Transfer of the receivers of a scene, or of points in it."""
-    if points is None:
-        receivers, albedo = vertices(geometry, validity), geometry.albedo
-    else:
-        receivers = _where(points.positions, points.normals, torch.zeros(0, 3))
-        albedo = torch.as_tensor(points.albedo)
-    layer = Diffuse(albedo=uniform(albedo), signal=Dense(values=vectors))
+def diffuse(geometry: Geometry, vectors: Tensor, validity: Validity | None = None, **metadata: Any) -> Transfer:
+    """Diffuse transfer of the receivers of a scene."""
+    layer = Diffuse(albedo=uniform(geometry.albedo), signal=Dense(values=vectors))
+    receivers = vertices(geometry, validity)
     return Transfer(receivers=receivers, layers={"diffuse": layer}, version=VERSION, **metadata)
 
 

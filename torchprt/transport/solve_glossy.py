@@ -46,7 +46,7 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     alone, cut = _trace(task, recorded, stages, keep_hits=bounces > 0)
     if not bounces:
         return GlossySolution(alone[0], cut=cut)
-    direct = [_repeated(each, task.job.channels // task.job.surfaces.channels) for each in alone]
+    direct = [repeated(each, task.job.channels // task.job.surfaces.channels) for each in alone]
     total, added, count = direct[0], direct[0], 0
     while count < bounces:
         sent = exitant(task, total)
@@ -105,7 +105,8 @@ def _trace(
     return [Arrived(diffuse, matrix) for matrix in matrices], mean_cut(cut)
 
 
-def _repeated(arrived: Arrived, times: int) -> Arrived:
+def repeated(arrived: Arrived, times: int) -> Arrived:
+    """The same in more channels."""
     return Arrived(arrived.diffuse.repeat(1, times), arrived.matrix.repeat(1, 1, times))
 
 
