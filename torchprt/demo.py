@@ -13,7 +13,7 @@ from torch import Tensor
 from torchprt import light, preview, sh
 from torchprt.files import atomic, make_folder
 from torchprt.scene import Material, samples
-from torchprt.shade import display, shader
+from torchprt.shade import display, local_light_shader, shader
 from torchprt.transfer import Transfer, save
 from torchprt.transport import bake, bake_neighbourhood
 from torchprt.words import count
@@ -66,7 +66,7 @@ def run(folder: Path, say: Say = print) -> None:
     say("The sculpture with its light as vertex colours, for any viewer: sculpture.ply")
     _export(transfer, folder / "sculpture.onnx", say)
     _gloss(environment, folder, say)
-    _beyond(folder, say)
+    _beyond(folder, transfer, say)
     say(f"To turn it with the mouse: torchprt export {folder / 'sculpture.safetensors'} -o page --web")
 
 
@@ -89,8 +89,8 @@ def _gloss(environment: Tensor, folder: Path, say: Say) -> None:
     _export(transfer, folder / "teapot.onnx", say)
 
 
-def _beyond(folder: Path, say: Say) -> None:
-    """Light by way of mirrors, shadows on what was never seen: the last part of `run`."""
+def _beyond(folder: Path, sculpture: Transfer, say: Say) -> None:
+    """Light by way of mirrors, shadows on what was never seen, lamps nearby: the last part of `run`."""
     ring = bake(samples.ring_on_plane(RING), order=GLOSS, rays=1024, bounces=2)
     save(ring, folder / "ring.safetensors")
     preview.save_png(caustics(ring), folder / "ring.png")
@@ -99,6 +99,8 @@ def _beyond(folder: Path, say: Say) -> None:
     save(around, folder / "glider.safetensors")
     preview.save_png(gliding(around), folder / "glider.png")
     say("A glider drags its shadow over land that it has never seen: glider.safetensors, glider.png")
+    preview.save_png(nearby(sculpture), folder / "lamps.png")
+    say("Two lamps nearby, one light for all and one for each of 16 places: lamps.png")
 
 
 def caustics(transfer: Transfer) -> Tensor:
@@ -127,6 +129,23 @@ def gliding(around: Transfer) -> Tensor:
     keys = torch.tensor([[-1.9, 0.9, -1.0, 75.0, 0.0, 0.0], [1.2, 0.9, 1.2, 30.0, 0.0, 20.0]])
     pictures = [cast.picture(pose[None]) for pose in preview.along(keys, 3)]
     return preview.sheet(pictures, ["", "", ""], columns=3)
+
+
+def nearby(transfer: Transfer) -> Tensor:
+    """A sculpture between a warm and a cool lamp: one sample of their light, and sixteen."""
+    middle = transfer.positions.double().mean(0)
+    radius = float((transfer.positions.double() - middle).norm(dim=-1).amax())
+    sides = [((-1.5, 0.5, 0.6), (60.0, 32.0, 14.0)), ((1.5, -0.2, 0.7), (16.0, 32.0, 60.0))]
+    lamps = [light.SphereEmitter(middle + radius * torch.tensor(to).double(), radius / 6, by) for to, by in sides]
+    still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
+    pictures = []
+    for points, gradients in ((1, False), (16, True)):
+        located = light.with_sample_points(transfer, points, gradients=gradients)
+        with torch.no_grad():
+            radiance = local_light_shader(shader(located), located)(light.local_light(located, lamps).float())
+        # Ringing leaves negative radiance in deep shadow, which no eye sees.
+        pictures.append(still.picture(radiance.clamp(min=0), exposure=0.7))
+    return preview.sheet(pictures, ["one sample in the middle", "16 sample points"], columns=2)
 
 
 def transport(transfer: Transfer, lamps: Tensor) -> Tensor:
