@@ -18,7 +18,7 @@ from torchprt.transport.diffuse_tasks import Bounce, Job, Record, Trace
 from torchprt.transport.glossy_tasks import GlossyBounce, GlossyRecord, GlossyTrace
 from torchprt.transport.solve import surfaces, vertex_receivers
 from torchprt.transport.stages import Kept
-from torchprt.transport.task import Once, chunks
+from torchprt.transport.task import Once, Task, chunks
 
 
 class Pickling:
@@ -217,3 +217,23 @@ def test_what_is_made_once_is_made_once_by_many_threads_and_not_sent():
     assert once("other", lambda: 7) == 7
     once.forget()
     assert once("other", lambda: 8) == 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Counts(Task):
+    """How many threads torch would use where it runs."""
+
+    def compute(self):
+        return {"threads": torch.tensor(torch.get_num_threads())}
+
+
+def test_torch_is_on_one_thread_in_every_thread():
+    # The number is one of each thread, and a product that is split rounds otherwise.
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        with Threads(2) as running:
+            found = [int(made["threads"]) for _, made in running.map([Counts(slice(0, 1))] * 6)]
+    finally:
+        torch.set_num_threads(before)
+    assert found == [1] * 6

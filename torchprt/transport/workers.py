@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import multiprocessing
 import os
@@ -58,7 +59,9 @@ class Threads(_Pool):
     """`count` threads of this process. They are enough for Embree: embreex releases the GIL."""
 
     def __init__(self, count: int):
-        super().__init__(count, ThreadPoolExecutor(count, thread_name_prefix="bake"))
+        # The number of threads is one of each thread: what a bake sets does not reach those that are started in it.
+        one = functools.partial(torch.set_num_threads, 1)
+        super().__init__(count, ThreadPoolExecutor(count, thread_name_prefix="bake", initializer=one))
 
     def map(self, tasks: Iterable[T], *shared: object) -> Generator[tuple[T, dict[str, Tensor]], None, None]:
         """As `Runner.map`."""
