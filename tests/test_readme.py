@@ -20,7 +20,7 @@ def blocks(language, page=README):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the README takes as given: model.ply and environment.exr."""
+    """What the README takes as given: model.ply, ring.ply and environment.exr."""
     from torchprt import demo, light, preview
     from torchprt.scene import samples
 
@@ -28,6 +28,8 @@ def folder(tmp_path_factory):
     box = samples.coloured_box(6).geometry()
     grey = torch.full((len(box.positions), 3), 128, dtype=torch.uint8)
     preview.save_ply(box.positions, box.faces, grey, place / "model.ply")
+    ring = samples.ring(12)
+    preview.save_ply(ring.positions, ring.faces, torch.full((len(ring.positions), 3), 128).byte(), place / "ring.ply")
     demo.write_environment(light.studio(32), place / "environment.exr")
     return place
 
