@@ -1,6 +1,7 @@
 """A page and a browser to look at it with. Where one of them cannot be had, tests say so and are skipped."""
 
 import contextlib
+import dataclasses
 import functools
 import shutil
 import threading
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from jaxtyping import config
 
 from torchprt import bake, web
@@ -37,8 +39,14 @@ def plane() -> Transfer:
 
 @pytest.fixture(scope="session")
 def dish() -> Transfer:
+    """A glossy dish, and beside it a mirror, which is drawn and not shaded."""
     material = Material(0.2, gloss="ggx:0.4", specular=(0.9, 0.6, 0.3))
-    return bake(samples.dish(24, material), order=3, rays=64, progress=False)
+    baked = bake(samples.dish(24, material), order=3, rays=64, progress=False)
+    ring = samples.ring(12)
+    parts = {"positions": ring.positions, "normals": ring.normals, "faces": ring.faces}
+    parts["reflectance"] = torch.tensor([0.9, 0.6, 0.3]).expand(len(ring.positions), 3)
+    receivers = baked.receivers.replace(**{f"mirror_{name}": value for name, value in parts.items()})
+    return dataclasses.replace(baked, receivers=receivers)
 
 
 @pytest.fixture(scope="session")

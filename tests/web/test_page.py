@@ -148,6 +148,19 @@ def test_glossy_radiance_follows_the_eye(visit, address, pages, dish):
     assert np.abs(np.subtract(seen[0], seen[1])).max() > 0.05 * np.max(seen[0])
 
 
+def test_mirrors_are_drawn_and_show_what_surrounds_them(visit, address):
+    tab = visit().open(f"{address}/dish/")
+    with_it = tab.page.screenshot()
+    tab.ask(
+        "it.view.scene.children.find((each) => each.material === it.view.mirror).visible = false; await it.zoom(1);"
+    )
+    without = tab.page.screenshot()
+    assert without != with_it
+    tab.ask("it.view.scene.children.find((each) => each.material === it.view.mirror).visible = true; await it.zoom(1);")
+    assert tab.page.screenshot() == with_it
+    assert tab.complaints == []
+
+
 def test_webgpu_computes_the_same(launch, address, pages):
     graphics = launch("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan")
     tab = Visit(graphics.new_page(viewport=SIZE)).open(f"{address}/plane/")
