@@ -99,9 +99,8 @@ def details(transfer: Transfer) -> list[str]:
     ground = int(transfer.receivers.ground().sum())
     if ground:
         lines[0] += f"; {ground} of the receivers are ground"
-    if "mirror_faces" in transfer.receivers.tensors():
-        faces = transfer.receivers.tensors()["mirror_faces"]
-        lines.append(f"{count(len(faces), 'face')} of mirrors, which record nothing")
+    if transfer.receivers.mirrors is not None:
+        lines.append(f"{count(len(transfer.receivers.mirrors[3]), 'face')} of mirrors, which record nothing")
     if "sample_points" in transfer.receivers.tensors():
         points, blend = transfer.receivers.sampled()
         more = " with gradients" if blend.shape[1] > len(points) else ""

@@ -26,7 +26,7 @@ from torchprt.preview.sight import sight_colours, sight_legend
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
 from torchprt.trace import Tracer
-from torchprt.transfer import Transfer, Vertices
+from torchprt.transfer import Transfer
 from torchprt.words import count
 
 MODES = ("transfer", "unshadowed", "one lamp", "compressed", "error", "sight")
@@ -86,7 +86,7 @@ class Session:
         self.seconds = 0.0
         self._animation = Animation(self.rest, poses)
         self.normals = first.normals.float()
-        self.mirrors = first.receivers.mirrors if isinstance(first.receivers, Vertices) else None
+        self.mirrors = first.receivers.mirrors
         self._around: tuple[int, Tensor] | None = None
         self.environments = list(environments)
         self.tone: ToneMap = tone

@@ -23,7 +23,7 @@ from torchprt.preview.relight import Relight
 from torchprt.sh import rotate, yaw_pitch_roll
 from torchprt.shade import Shader, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
-from torchprt.transfer import Transfer, Vertices
+from torchprt.transfer import Transfer
 
 Background = Literal["plain", "environment", "transparent"] | tuple[float, float, float]
 
@@ -102,7 +102,7 @@ class Studio:
                 camera=camera,
                 samples=self.samples,
                 opacity=opacity(place),
-                mirrors=place.mirrors if isinstance(place, Vertices) else None,
+                mirrors=place.mirrors,
             )
         return self._still
 

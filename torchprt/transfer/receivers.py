@@ -56,6 +56,12 @@ class Receivers(Part, abc.ABC):
             "light.with_sample_points"
         )
 
+    @property
+    def mirrors(self) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+        """What is drawn beside them and records nothing: positions, normals and reflectance of the vertices of mirrors,
+        and their faces; None if there are none."""
+        return None
+
     def as_texels(self) -> Texels:
         """These, if they are the texels of a patch; InputError if not."""
         raise InputError(
@@ -146,7 +152,6 @@ class Vertices(Receivers):
 
     @property
     def mirrors(self) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
-        """Positions, normals and reflectance of the vertices of mirrors, and their faces; None if there are none."""
         found = [getattr(self, name) for name in MIRROR]
         return None if found[0] is None else (found[0], found[1], found[2], found[3])
 

@@ -23,7 +23,7 @@ from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
 from torchprt.shade import at_rest, shader
 from torchprt.shade.display import TONE
-from torchprt.transfer import Transfer, Vertices
+from torchprt.transfer import Transfer
 from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.flight import Flight
@@ -138,7 +138,7 @@ def export(
             flies, graphs, flying = flight.write(made, save, check)
             models += [_zipped(each) for each in graphs]
         moved = save(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full)) or 0.0
-        mirrors = full.receivers.mirrors if isinstance(full.receivers, Vertices) else None
+        mirrors = full.receivers.mirrors
         if mirrors is not None:
             places, normals, shares, corners = mirrors
             save(places, normals, corners, made / "mirrors.glb", colour=shares)
