@@ -19,6 +19,7 @@ from .rig import Rig
 from .scene import Requirements, Scene, is_scene, load, load_objects, mirror_of
 from .scene_file import read_scene
 from .surface import Look, Surface, read_surface, texture_albedo
+from .volume import Volume
 
 __all__ = [
     "EnergyWarning",
@@ -36,6 +37,7 @@ __all__ = [
     "Scene",
     "Surface",
     "TangentWarning",
+    "Volume",
     "bend",
     "file_material",
     "height_field",

@@ -1,5 +1,6 @@
 """What a bake leaves: receivers, layers and signals, and one file format."""
 
+from .cells import Cells
 from .clustered import Clustered
 from .d3dx import load_d3dx
 from .dense import Dense
@@ -9,6 +10,7 @@ from .layer import Diffuse, Layer
 from .layers import Exit, Factored, Incident, Visibility
 from .layout import Layout
 from .neighbourhood import Neighbourhood
+from .phase import Phase
 from .receivers import Receivers, Sight, Texels, Vertices
 from .signal import Signal
 from .transfer import Transfer, diffuse_transfer
@@ -16,6 +18,7 @@ from .zonal import Zonal
 
 __all__ = [
     "FORMAT",
+    "Cells",
     "Clustered",
     "Dense",
     "Diffuse",
@@ -26,6 +29,7 @@ __all__ = [
     "Layer",
     "Layout",
     "Neighbourhood",
+    "Phase",
     "Receivers",
     "Sight",
     "Signal",

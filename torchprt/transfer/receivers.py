@@ -17,6 +17,7 @@ from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
 
 if TYPE_CHECKING:
+    from torchprt.transfer.cells import Cells
     from torchprt.transfer.grid import Grid
 
 
@@ -73,6 +74,10 @@ class Receivers(Part, abc.ABC):
         raise InputError(
             "the transfer is recorded on a surface, not around an object: bake one, as bake_neighbourhood does"
         )
+
+    def as_cells(self) -> Cells:
+        """These, if they are the cells of a volume; InputError if not."""
+        raise InputError("the transfer is not recorded in a volume: bake one, as bake_volume does")
 
 
 class Sight(enum.IntEnum):
