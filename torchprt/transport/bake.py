@@ -194,7 +194,9 @@ def _between(
     if len(geometry.reflectance):
         raise InputError("light that mirrors turn is not followed through a volume: leave one of the two out")
     if between.emission is not None and wanted is not None and wanted.frame == "visibility":
-        raise InputError("frame 'visibility' cannot hold the light of a volume: give the Volume itself, or bake matrices")
+        raise InputError(
+            "frame 'visibility' cannot hold the light of a volume: give the Volume itself, or bake matrices"
+        )
     return between
 
 

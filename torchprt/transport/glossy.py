@@ -152,9 +152,7 @@ def shadowed(
             answers = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
             visible = -answers.to(torch.float32)
             if surfaces.volume is not None:
-                visible *= surfaces.volume.left(
-                    tracer, receivers.origins[rows], here, set_of.directions, answers != 0
-                )
+                visible *= surfaces.volume.left(tracer, receivers.origins[rows], here, set_of.directions, answers != 0)
         local[:, rows] = set_of.project @ visible.T
         mirrored: Tensor | None = None if through is None else through.radiance
         if seen is not None and len(seen.row):

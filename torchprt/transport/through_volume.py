@@ -247,7 +247,7 @@ def _follow(
         place = place + torch.where(going, stride.gather(0, axis)[0], 0)
         following.scatter_add_(0, axis, apart.gather(0, axis))
     left = torch.exp(-depth)
-    if number is None:
+    if number is None or not depths:
         return left, torch.zeros(len(near), 0, dtype=torch.int32), torch.zeros(len(near), 0)
     before = torch.stack([torch.zeros_like(near), *depths[:-1]], 1)
     gains = torch.exp(-before) * -torch.expm1(before - torch.stack(depths, 1))
