@@ -222,7 +222,7 @@ def test_scattering_agrees_with_rays_that_are_marched_from_cells():
 def test_endless_passes_solve_the_linear_system_that_they_are_the_series_of(phase):
     of = Volume(lump(4, 2.0), 0.95, spacing=0.5, phase=phase)
     transfer = baked(of, rays=1024, bounces=math.inf, order=2)
-    _, scatter, inside = tasks(of, rays=64, phase_order=2 if phase else 1)
+    _, _, inside = tasks(of, rays=64, phase_order=2 if phase else 1)
     inside = dataclasses.replace(inside, order=2)
     enter = [Enter(slice(0, 4), g, 1024, half) for half in (0, 1) for g in range(6)]
     direct = sum(task(inside)["arrives"] for task in enter).double() / 2
@@ -307,7 +307,7 @@ def test_a_phase_function_of_one_moment_is_none():
     isotropic, told = baked(volume(), order=3), baked(volume(phase=(1.0,)), order=3)
     assert torch.equal(values(isotropic), values(told))
     # All moments but the first zero, yet followed: what arrives is more than is scattered, and its mean the same.
-    direct, _, inside = tasks(volume(phase=0.3))
+    direct, _, _ = tasks(volume(phase=0.3))
     assert (direct[0] - tasks(volume())[0][0] * math.sqrt(4 * math.pi)).abs().max() < 5e-3
 
 

@@ -33,7 +33,7 @@ class Blockers:
         return torch.cat(escapes)
 
     def cuts(self, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Cuts:
-        """Where tracks end on surfaces: at the border of a cell on its way that is nearest. Another begins there, dark."""
+        """Where tracks end on surfaces: at the nearest border of a cell on its way. Another begins there, dark."""
         depth = len(slices.starts) - 1
         found: dict[int, list[Tensor]] = {}
         for number, (start, direction) in enumerate(zip(self._starts(slices, along), directions, strict=True)):
