@@ -227,13 +227,13 @@ def _solved(
 
     state = _latest(stages)
     if isinstance(bounces, int) or bounces not in (math.inf, "auto"):
-        state = counted(direct, once, int(bounces), state, kept)
-        return state.arrived, state.count, difference
-    enough = UNSEEN if bounces == "auto" else SPENT
-    # Per unit of volume, which all cells have alike.
-    weight = inside.medium.extinction.double()[:, None] * factors.double()
-    state = endless(direct, once, weight, enough, state, kept)
-    # One more pass puts what solving has left where it belongs, and its halves tell the error of the directions.
+        state = counted(direct, once, int(bounces) - 1, state, kept)
+    else:
+        # Per unit of volume, which all cells have alike.
+        weight = (inside.medium.extinction.double()[:, None] * factors.double())[None]
+        state = endless(direct, once, weight, UNSEEN if bounces == "auto" else SPENT, state, kept)
+    # The sum of all passes is one more from the sum of all but the last, also where they were not made one by one; and
+    # its halves tell the error of the directions.
     last = [once(state.count + 1, state.arrived, half) for half in (0, 1)]
     return direct + (last[0] + last[1]) / 2, state.count + 1, difference + last[1] - last[0]
 
