@@ -28,9 +28,9 @@ def positive_light(order=5):
     return light
 
 
-def scene(mi, geometry, light, material, mirror=None):
+def scene(mi, geometry, light, material, mirror=None, **more):
     """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
-    `light [N, 3]`."""
+    `light [N, 3]`, and what `more` there is."""
     height, width = 512, 1024
     v, u = torch.meshgrid(
         (torch.arange(height, dtype=torch.float64) + 0.5) / height,
@@ -42,7 +42,7 @@ def scene(mi, geometry, light, material, mirror=None):
     directions = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1).view(-1, 3)
     image = (sh.basis(directions, math.isqrt(len(light))) @ light).view(height, width, 3).float().numpy()
     sky = {"type": "envmap", "bitmap": mi.Bitmap(image)}
-    return mi.load_dict({"type": "scene", "sky": sky, **_meshes(mi, geometry, material, mirror)})
+    return mi.load_dict({"type": "scene", "sky": sky, **_meshes(mi, geometry, material, mirror), **more})
 
 
 def _meshes(mi, geometry, material, mirror):
@@ -64,10 +64,10 @@ def _meshes(mi, geometry, material, mirror):
     return found
 
 
-def arriving(mi, world, depth, origins, frames, directions, at_once=2048, seed=0):
+def arriving(mi, world, depth, origins, frames, directions, at_once=2048, seed=0, kind="path"):
     """Radiance `[P, D, 3]` that arrives at points along local directions by paths of up to `depth` segments, one path
-    each; -1 is as many as it takes. With 1 only the sky is seen."""
-    integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 64})
+    each; -1 is as many as it takes. With 1 only the sky is seen. `kind` of integrator: `volpath` goes into volumes."""
+    integrator = mi.load_dict({"type": kind, "max_depth": depth, "rr_depth": 64})
     found = np.empty((len(origins), len(directions), 3), np.float32)
     parts = math.ceil(len(directions) / at_once)
     for start in range(parts):
@@ -129,3 +129,25 @@ def under_lamp(mi, geometry, lamp, albedo, rows, samples=256, seed=0):
 
 def _white(albedo):
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [albedo] * 3}}
+
+
+def medium(mi, volume, phase=0.0):
+    """The cells of a `Volume` in a box that nothing is seen of, each uniform; Henyey and Greenstein's `phase`."""
+    size = [count * step for count, step in zip(volume.shape, volume.spacing, strict=True)]
+    place = mi.ScalarTransform4f().translate(list(volume.origin)).scale(size)
+
+    def cells(values):
+        # Mitsuba's fastest axis is x.
+        grid = mi.VolumeGrid(np.ascontiguousarray(values.permute(2, 1, 0, 3).numpy()))
+        return {"type": "gridvolume", "grid": grid, "filter_type": "nearest", "to_world": place, "raw": True}
+
+    albedo = volume.albedo if len(volume.albedo) > 1 else volume.albedo.expand(math.prod(volume.shape), -1)
+    inside = {
+        "type": "heterogeneous",
+        "sigma_t": cells(volume.extinction[..., None]),
+        "albedo": cells(albedo.unflatten(0, volume.shape)),
+        "phase": {"type": "hg", "g": phase} if phase else {"type": "isotropic"},
+    }
+    # A cube is from -1 to 1.
+    around = place.translate([0.5] * 3).scale(0.5)
+    return {"type": "cube", "to_world": around, "interior": inside, "bsdf": {"type": "null"}}

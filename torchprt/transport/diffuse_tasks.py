@@ -70,8 +70,8 @@ class TracingTask(Task):
 
 @dataclass(frozen=True)
 class Trace(TracingTask):
-    """Shadowed "transfer" `[A, N, v]`, A = 3 if some of it came by way of coloured mirrors or cells; what was "cut" off among
-    mirrors, if there are any, `[v]`; with `keep_hits` also the fields of `Gather`, for bounces."""
+    """Shadowed "transfer" `[A, N, v]`, A = 3 if some of it came by way of coloured mirrors or cells; what was "cut" off
+    among mirrors, if there are any, `[v]`; with `keep_hits` also the fields of `Gather`, for bounces."""
 
     keep_hits: bool = False
     for_later = tuple(Gather.__dataclass_fields__)

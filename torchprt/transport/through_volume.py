@@ -68,8 +68,8 @@ class Emission:
 class ThroughVolume:
     """A volume that light goes through on its way to surfaces, and what its cells send, if that is known.
 
-    `corner`: the lowest corner, in the world, of the cells that are kept; `extinction [X, Y, Z]` and `number [X, Y, Z]`,
-    the row of each cell in the table of `emission`, have a border of empty cells, which is outside of the box.
+    `corner`: the lowest corner, in the world, of the cells that are kept; `extinction [X, Y, Z]` and `number
+    [X, Y, Z]`, the row of each cell in the table of `emission`, have a border of empty cells outside of that.
     """
 
     corner: Float[Tensor, "3"]
@@ -213,8 +213,8 @@ def _follow(
     near: Float[Tensor, "E"],
     far: Float[Tensor, "E"],
 ) -> tuple[Float[Tensor, "E"], Int[Tensor, "E S"], Float[Tensor, "E S"]]:
-    """What is left of light along rays from `near` to `far`; with `number` also the cells that each crosses, and what it
-    gains of their source radiance, e^-(depth in front of it) (1 - e^-(its own depth)). `unit`: lengths of the world in
+    """What is left of light along rays from `near` to `far`; with `number` also the cells that each crosses, and what
+    it gains of their source radiance, e^-(depth in front of it) (1 - e^-(its own depth)). `unit`: lengths of the world in
     one along a ray, a power of two.
 
     Exact for cells that are uniform, up to rounding.

@@ -1,0 +1,57 @@
+"""Does a path tracer that no one here wrote see the same light below a cloud: its shadow, and what it scatters down?
+
+Both integrate over rays from the same points, so what differs is the Monte Carlo error of one path a ray, and what cells
+keep of the light inside of them, its mean.
+"""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from path_tracer import arriving, medium, positive_light, scene, variant
+from shapes import square
+
+from torchprt.scene import Material, Object, Scene, Volume, samples
+from torchprt.shade import shader
+from torchprt.trace import Tracer
+from torchprt.transport import bake, bake_volume, frames, hemisphere
+from torchprt.transport.solve import vertex_receivers
+
+mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
+ALBEDO, DIRECTIONS = 0.6, 2048
+
+
+@pytest.fixture(scope="module")
+def mitsuba():
+    if fault := variant(mi):
+        pytest.skip(fault)
+    return mi
+
+
+def rms(values):
+    return np.sqrt((values**2).mean())
+
+
+def test_what_comes_through_and_from_a_cloud_agrees_with_a_path_tracer(mitsuba):
+    cloud = samples.cloud(24)
+    cloud = Volume(cloud.extinction, cloud.albedo, origin=(-1.0, 0.2, -1.0), spacing=cloud.spacing)
+    plane = Scene([Object(square(3.0, 5), Material(ALBEDO))])
+    geometry = plane.geometry()
+    tracer = Tracer(geometry.positions, geometry.faces)
+    origins = vertex_receivers(geometry, tracer).origins
+    in_world = (origins.double() / tracer.scale + tracer.centre).float().numpy()
+    light, directions = positive_light(), hemisphere(DIRECTIONS, seed=7)
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0] * 3}}
+    world = scene(mitsuba, geometry, light, white, cloud=medium(mitsuba, cloud))
+    sent = bake_volume(cloud, blockers=plane, rays=1024, bounces=math.inf, progress=False)
+    weights = (2 * directions[:, 2] / DIRECTIONS).numpy()
+    open_sky = shader(bake(plane, rays=1024, progress=False))(light.float()).numpy()
+    for depth, volume in ((1, cloud), (-1, sent)):
+        seen = arriving(mitsuba, world, depth, in_world, frames(geometry.receiver_normals), directions, kind="volpath")
+        theirs = ALBEDO * np.einsum("pdc,d->pc", seen, weights)
+        ours = shader(bake(plane, rays=1024, volume=volume, progress=False))(light.float()).numpy()
+        # The Monte Carlo error of so many paths is .4 % of the light.
+        assert rms(ours - theirs) <= 0.01 * rms(theirs)
+        # Of what the cloud changes, which is a third of it and less.
+        assert rms(ours - theirs) <= 0.05 * rms(open_sky - theirs)
