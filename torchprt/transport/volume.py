@@ -34,6 +34,9 @@ from torchprt.transport.volume_tasks import BOTH, GROUPS, Enter, Inside, Scatter
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
+NARROW = 0.8
+"""Moment of the first band of a phase function that is left out, above which that is warned of: with .77 radiance of a
+cloud under a light of order 5 still agreed with a path tracer within 2 %."""
 THICK = 1.0
 """Optical depth of a cell above which the coarseness of the grid is warned of."""
 # What the cells send varies less with the direction than the light does.
@@ -134,7 +137,7 @@ def _moments(volume: Volume, order: int, output_order: int | None) -> tuple[floa
         return (1.0,)
     kept = volume.moments[: output_order or order]
     left = max(map(abs, volume.moments[len(kept) :]), default=0.0)
-    if left > 0.3:
+    if left > NARROW:
         warnings.warn(
             f"{volume.name} scatters more narrowly than {len(kept)} bands can say: the next band of its phase function "
             f"has the moment {left:.2f}; give a larger order, or a phase function that is wider",
