@@ -7,6 +7,7 @@ from .export import ExportReport, export
 from .layers import LayerGraph, layer_graph
 from .neighbourhood import compare_neighbourhood, export_neighbourhood
 from .parity import ParityReport, compare
+from .phase import PhaseGraph
 from .signal import SignalGraph, arranged, by_channel, signal_graph
 from .zonal import ZonalGraph
 
@@ -16,6 +17,7 @@ __all__ = [
     "LayerGraph",
     "ParityError",
     "ParityReport",
+    "PhaseGraph",
     "SignalGraph",
     "ZonalGraph",
     "arranged",

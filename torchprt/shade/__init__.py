@@ -16,6 +16,7 @@ from .local_light import LocalLightShader, local_light_shader
 from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
 from .patch_shader import PatchShader
+from .phase import PhaseLayer
 from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
@@ -42,6 +43,7 @@ __all__ = [
     "Making",
     "NeighbourhoodShader",
     "PatchShader",
+    "PhaseLayer",
     "PhongReceiving",
     "Receiving",
     "Regions",

@@ -33,6 +33,7 @@ class Cells(Receivers):
     """
 
     kind: ClassVar[str] = "cells"
+    on_surface: ClassVar[bool] = False
     layouts: ClassVar[dict[str, Layout]] = {"cells": Layout(("V",), WHOLE), "extinction": Layout(("V",), REAL)}
 
     shape: Sequence[int]
