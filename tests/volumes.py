@@ -1,5 +1,6 @@
 """Transfer of volumes made by hand, and what is seen of one by definition, in float64 and in loops."""
 
+import itertools
 import math
 
 import torch
@@ -84,7 +85,7 @@ def by_hand(receivers, source, origin, direction, far=math.inf):
                 crossings.add(float((low[axis] + plane * step[axis] - origin.double()[axis]) / unit[axis]))
     crossings = sorted(t for t in {*crossings, float(far)} if 0 <= t <= far and t < math.inf)
     seen, through = torch.zeros(3, dtype=torch.float64), 1.0
-    for near, end in zip(crossings, crossings[1:], strict=False):
+    for near, end in itertools.pairwise(crossings):
         place = ((origin.double() + (near + end) / 2 * unit - low) / step).floor().long().tolist()
         if all(0 <= i < n for i, n in zip(place, receivers.shape, strict=True)):
             kept = math.exp(-float(extinction[tuple(place)]) * (end - near))

@@ -9,6 +9,7 @@ from .neighbourhood import compare_neighbourhood, export_neighbourhood
 from .parity import ParityReport, compare
 from .phase import PhaseGraph
 from .signal import SignalGraph, arranged, by_channel, signal_graph
+from .volume import compare_volume, export_volume
 from .zonal import ZonalGraph
 
 __all__ = [
@@ -24,9 +25,11 @@ __all__ = [
     "by_channel",
     "compare",
     "compare_neighbourhood",
+    "compare_volume",
     "describe",
     "export",
     "export_neighbourhood",
+    "export_volume",
     "layer_graph",
     "signal_graph",
 ]

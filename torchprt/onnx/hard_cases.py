@@ -85,7 +85,9 @@ def conditions(seen: Seen, eye: Tensor | None, view: Tensor | None) -> Tensor:
     return torch.where(z < 0, across / torch.where(length > 0, length, 1.0), 1.0)
 
 
-def receivers(shader: Shader | FixedLightShader, layer: EyeLayerModule | PhaseLayer, pose: Mapping[str, Tensor]) -> Seen:
+def receivers(
+    shader: Shader | FixedLightShader, layer: EyeLayerModule | PhaseLayer, pose: Mapping[str, Tensor]
+) -> Seen:
     """The receivers of a layer of a shader, where "positions" or "frames" in `pose` have put them."""
     points, local = layer.points, layer.frames
     given = {name: pose[name].double() for name in ("frames", "positions") if name in pose}
