@@ -13,6 +13,7 @@ from torchprt.errors import InputError
 MESHES = (".ply", ".obj", ".glb", ".gltf", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
 IMAGES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".gif")
 VIDEOS = (".mp4",)
+VOLUMES = (".npy", ".npz", ".vdb", ".nvdb")
 # What one picture is written as, several one after the other, and what holds opacity.
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 MOVIES = (".gif", ".webp", ".mp4")
@@ -21,6 +22,7 @@ TRANSPARENT = (".png", ".webp")
 _KINDS = {
     **dict.fromkeys(MESHES, ("a mesh", "bake it with `torchprt bake` or read it with prt.load")),
     **dict.fromkeys(IMAGES, ("an image", "give it as a light, or read it with prt.light.read")),
+    **dict.fromkeys(VOLUMES, ("a volume", "bake it with `torchprt volume` or read it with prt.scene.read_volume")),
     **dict.fromkeys(VIDEOS, ("a video", "open it in a player")),
     ".npy": ("an array", "give it as a light, or read it with prt.light.read_coefficients"),
     ".onnx": ("a graph", "run it with ONNX Runtime, or give the bake that it was exported from"),
@@ -35,6 +37,8 @@ _STARTS = {
     b"II*\0": (".tif", "a TIFF picture"),
     b"MM\0*": (".tif", "a TIFF picture"),
     b"\x93NUMPY": (".npy", "an array of numpy"),
+    b"NanoVDB": (".nvdb", "a NanoVDB grid"),
+    b" BDV": (".vdb", "an OpenVDB grid"),
     b"ply\n": (".ply", "a PLY mesh"),
     b"ply\r": (".ply", "a PLY mesh"),
     b"glTF": (".glb", "a glTF mesh"),

@@ -20,6 +20,7 @@ from .scene import Requirements, Scene, is_scene, load, load_objects, mirror_of
 from .scene_file import read_scene
 from .surface import Look, Surface, read_surface, texture_albedo
 from .volume import Volume
+from .volume_reading import read_volume
 
 __all__ = [
     "EnergyWarning",
@@ -52,6 +53,7 @@ __all__ = [
     "read_mesh",
     "read_scene",
     "read_surface",
+    "read_volume",
     "samples",
     "texture_albedo",
     "tiled",

@@ -46,9 +46,9 @@ class Volume:
         self,
         extinction: Tensor | np.ndarray,
         albedo: Numbers = 1.0,
-        origin: Sequence[float] = (0.0, 0.0, 0.0),
-        spacing: float | Sequence[float] = 1.0,
-        phase: float | int | Sequence[float] = 0.0,
+        origin: Sequence[float | int] = (0.0, 0.0, 0.0),
+        spacing: float | int | Sequence[float | int] = 1.0,
+        phase: float | int | Sequence[float | int] = 0.0,
         name: str = "volume",
     ) -> None:
         put = object.__setattr__
@@ -87,7 +87,7 @@ MOMENTS = 64
 """Bands of a phase function that are kept: what a light can have."""
 
 
-def phase_moments(phase: float | int | Sequence[float], name: str = "volume") -> tuple[float, ...]:
+def phase_moments(phase: float | int | Sequence[float | int], name: str = "volume") -> tuple[float, ...]:
     """Legendre moments of a phase function, the first 1: those of Henyey and Greenstein's for one number.
 
     Raises InputError if the number is outside (-1, 1), or the moments are none of a phase function.
@@ -131,7 +131,7 @@ def _albedo(values: Numbers, shape: tuple[int, ...], name: str) -> Float32[Tenso
     return albedo
 
 
-def _three(values: Sequence[float], what: str) -> tuple[float, float, float]:
+def _three(values: Sequence[float | int], what: str) -> tuple[float, float, float]:
     numbers = tuple(float(each) for each in values)
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         raise InputError(f"{what} is {list(numbers)}: give three finite numbers")

@@ -12,6 +12,7 @@ from .mirrors import MirrorWarning
 from .neighbourhood import GridWarning, bake_neighbourhood
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
+from .volume import VolumeWarning, bake_volume
 from .workers import Processes, Threads
 from .wrinkle import groove_transfer, wrinkle
 
@@ -24,9 +25,11 @@ __all__ = [
     "Runner",
     "Task",
     "Threads",
+    "VolumeWarning",
     "bake",
     "bake_neighbourhood",
     "bake_patch",
+    "bake_volume",
     "frames",
     "groove_transfer",
     "hemisphere",

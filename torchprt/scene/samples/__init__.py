@@ -1,5 +1,6 @@
 """Procedural scenes, the project's own: for demonstrations, tests and measurements."""
 
+from .cloud import cloud
 from .coloured_box import coloured_box
 from .cylinder import cylinder
 from .dish import dish
@@ -17,6 +18,7 @@ from .wing import flap, wing, wing_rig, wing_translucency
 
 __all__ = [
     "bumps",
+    "cloud",
     "coloured_box",
     "cylinder",
     "dish",
