@@ -94,7 +94,9 @@ class VolumeStudio(Studio):
         if self._still is None or self._still.camera != camera:
             width, height = self.size
             if width < 1 or height < 1 or self.samples < 1:
-                raise InputError(f"size {width}x{height} with {self.samples} samples has no pixels: give numbers from 1")
+                raise InputError(
+                    f"size {width}x{height} with {self.samples} samples has no pixels: give numbers from 1"
+                )
             self._still = Still.empty(size=self.size, camera=camera, samples=self.samples)
         return self._still
 

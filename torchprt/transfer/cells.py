@@ -92,7 +92,9 @@ class Cells(Receivers):
             places = torch.zeros(1, 3, dtype=torch.float64, device=self.cells.device)
         ends = torch.stack([places.amin(0), places.amax(0) + 1])
         corners = torch.cartesian_prod(*ends.unbind(1))
-        step, low = (torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin))
+        step, low = (
+            torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin)
+        )
         return (low + corners * step).to(torch.float32)
 
     def dense(self, values: Float[Tensor, "*B V"]) -> Float[Tensor, "*B X Y Z"]:
