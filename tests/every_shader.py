@@ -2,6 +2,7 @@
 
 import torch
 from transfers import KINDS, random_glossy
+from volumes import random_volume
 from zonal_transfers import random_zonal, random_zonal_factored, turns
 
 from torchprt.compression import compress
@@ -18,6 +19,9 @@ def every_transfer(dtype=torch.float32):
             dense = random_glossy(kind, vertices=12, glossy=9, channels=channels, dtype=dtype)
             made[f"{kind} dense {channels}"] = dense
             made[f"{kind} clustered {channels}"] = compress(dense, clusters=2, components=2)
+        dense = random_volume("phase", channels=channels, dtype=dtype)
+        made[f"phase dense {channels}"] = dense
+        made[f"phase clustered {channels}"] = compress(dense, clusters=2, components=2)
         made[f"diffuse zonal {channels}"] = random_zonal(channels=channels, dtype=dtype)
         made[f"factored zonal {channels}"] = random_zonal_factored(channels=channels, dtype=dtype)
         made[f"exit zonal {channels}"] = _in_lobes(Exit, channels, dtype, output_order=2)

@@ -28,9 +28,8 @@ def positive_light(order=5):
     return light
 
 
-def scene(mi, geometry, light, material, mirror=None, **more):
-    """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
-    `light [N, 3]`, and what `more` there is."""
+def sky(mi, light):
+    """A light `[N, 3]` all around."""
     height, width = 512, 1024
     v, u = torch.meshgrid(
         (torch.arange(height, dtype=torch.float64) + 0.5) / height,
@@ -41,8 +40,54 @@ def scene(mi, geometry, light, material, mirror=None, **more):
     # Mitsuba's left edge looks along -z, where ours has its centre.
     directions = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1).view(-1, 3)
     image = (sh.basis(directions, math.isqrt(len(light))) @ light).view(height, width, 3).float().numpy()
-    sky = {"type": "envmap", "bitmap": mi.Bitmap(image)}
-    return mi.load_dict({"type": "scene", "sky": sky, **_meshes(mi, geometry, material, mirror), **more})
+    return {"type": "envmap", "bitmap": mi.Bitmap(image)}
+
+
+def scene(mi, geometry, light, material, mirror=None, **more):
+    """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
+    `light [N, 3]`, and what `more` there is."""
+    return mi.load_dict({"type": "scene", "sky": sky(mi, light), **_meshes(mi, geometry, material, mirror), **more})
+
+
+def medium(mi, volume):
+    """The cells of a `Volume`, each uniform, in a box that nothing is seen of."""
+    size = [count * step for count, step in zip(volume.shape, volume.spacing, strict=True)]
+    place = mi.ScalarTransform4f().translate(list(volume.origin)).scale(size)
+
+    def cells(values):
+        # Mitsuba's fastest axis is x.
+        grid = mi.VolumeGrid(np.ascontiguousarray(values.permute(2, 1, 0, 3).numpy()))
+        return {"type": "gridvolume", "grid": grid, "filter_type": "nearest", "to_world": place, "raw": True}
+
+    albedo = volume.albedo if len(volume.albedo) > 1 else volume.albedo.expand(math.prod(volume.shape), -1)
+    inside = {
+        "type": "heterogeneous",
+        "sigma_t": cells(volume.extinction[..., None]),
+        "albedo": cells(albedo.unflatten(0, volume.shape)),
+        "phase": {"type": "isotropic"} if volume.isotropic else {"type": "hg", "g": volume.moments[1]},
+    }
+    # A cube is from -1 to 1.
+    around = place.translate([0.5] * 3).scale(0.5)
+    return {"type": "cube", "to_world": around, "interior": inside, "bsdf": {"type": "null"}}
+
+
+def through_volume(mi, volume, light, eye, directions, paths, at_once=256, seed=0):
+    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` under `light [N, 3]`, by
+    so many paths each; and its standard error."""
+    world = mi.load_dict({"type": "scene", "sky": sky(mi, light), "box": medium(mi, volume)})
+    integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 1000})
+    rays = np.repeat(directions.numpy(), at_once, 0)
+    origins = np.repeat(eye.numpy()[None], len(rays), 0)
+    means = []
+    for part in range(paths // at_once):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed + part, len(rays))
+        ray = mi.RayDifferential3f(vectors(mi.Point3f, origins), vectors(mi.Vector3f, rays))
+        seen, _, _ = integrator.sample(world, sampler, ray)
+        # Mitsuba's sampling of a narrow phase function is not a number for a path in some ten thousand.
+        means.append(torch.from_numpy(np.array(seen)).T.reshape(-1, at_once, 3).double().nanmean(1))
+    found = torch.stack(means)
+    return found.mean(0), found.std(0) / math.sqrt(len(means))
 
 
 def _meshes(mi, geometry, material, mirror):
@@ -129,25 +174,3 @@ def under_lamp(mi, geometry, lamp, albedo, rows, samples=256, seed=0):
 
 def _white(albedo):
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [albedo] * 3}}
-
-
-def medium(mi, volume, phase=0.0):
-    """The cells of a `Volume` in a box that nothing is seen of, each uniform; Henyey and Greenstein's `phase`."""
-    size = [count * step for count, step in zip(volume.shape, volume.spacing, strict=True)]
-    place = mi.ScalarTransform4f().translate(list(volume.origin)).scale(size)
-
-    def cells(values):
-        # Mitsuba's fastest axis is x.
-        grid = mi.VolumeGrid(np.ascontiguousarray(values.permute(2, 1, 0, 3).numpy()))
-        return {"type": "gridvolume", "grid": grid, "filter_type": "nearest", "to_world": place, "raw": True}
-
-    albedo = volume.albedo if len(volume.albedo) > 1 else volume.albedo.expand(math.prod(volume.shape), -1)
-    inside = {
-        "type": "heterogeneous",
-        "sigma_t": cells(volume.extinction[..., None]),
-        "albedo": cells(albedo.unflatten(0, volume.shape)),
-        "phase": {"type": "hg", "g": phase} if phase else {"type": "isotropic"},
-    }
-    # A cube is from -1 to 1.
-    around = place.translate([0.5] * 3).scale(0.5)
-    return {"type": "cube", "to_world": around, "interior": inside, "bsdf": {"type": "null"}}

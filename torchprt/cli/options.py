@@ -105,6 +105,12 @@ def gloss(text: str) -> Brdf:
     return read.brdf
 
 
+def surface_of(transfer: Transfer, option: str, file: Path) -> None:
+    """InputError if `transfer` is of a volume, for which an option, or a command, has no meaning."""
+    if not transfer.receivers.on_surface:
+        raise InputError(f"{option} is about a surface, and {file} is a volume, which has none")
+
+
 def gloss_of(transfer: Transfer, material: str | None) -> Any:
     """The reflectance that `transfer` leaves open, and how well it is held is told; None if it leaves none."""
     open_ = [layer for layer in transfer.layers.values() if "reflectance" in layer.needs]

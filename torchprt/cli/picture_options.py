@@ -97,16 +97,17 @@ class PictureOptions:
             raise InputError(f"--background is given, but {self.light} is no image: give one as --light")
         return found
 
-    def camera(self, transfer: Transfer) -> Camera:
+    def camera(self, *shown: Transfer) -> Camera:
+        """The camera that holds all that is `shown`."""
         from torchprt import preview
 
-        return preview.frame(preview.subject(transfer.receivers), self.view, **self._held())
+        return preview.frame(_subjects(shown), self.view, **self._held())
 
-    def orbit(self, transfer: Transfer, sides: int) -> Orbit:
+    def orbit(self, *shown: Transfer, sides: int) -> Orbit:
         """The camera's way around, seen whole from all of so many sides."""
         from torchprt import preview
 
-        return preview.Orbit.around(preview.subject(transfer.receivers), self.view, sides=sides, **self._held())
+        return preview.Orbit.around(_subjects(shown), self.view, sides=sides, **self._held())
 
     def studio(
         self,
@@ -115,14 +116,16 @@ class PictureOptions:
         environment: Environment,
         colours: Tensor | None = None,
         near: LampShader | None = None,
+        volume: Transfer | None = None,
     ) -> Studio:
-        """What makes the pictures; of `colours` if they are given, under lamps `near` the model if there are any."""
-        from torchprt.preview import Studio, automatic_exposure
+        """What makes the pictures; of `colours` if they are given, under lamps `near` the model if there are any, in a
+        `volume` if there is one."""
+        from torchprt.preview import automatic_exposure, studio_of
 
         shown = self._shown()
         if self.exposure is None and near is not None:
             shown["exposure"] = automatic_exposure(near.brightest(environment.light))
-        return Studio(transfer, shader, environment, colours=colours, relight=near, **shown)
+        return studio_of(transfer, shader, environment, volume=volume, colours=colours, relight=near, **shown)
 
     def patch_studio(
         self, patch: Transfer, mesh: Path, repeat: Sequence[float], brdf: Brdf | None, environment: Environment
@@ -153,6 +156,15 @@ class PictureOptions:
     def _held(self) -> dict[str, Any]:
         width, height = self.size
         return {"aspect": width / height, "field": self.fov, "target": self.target, "distance": self.distance}
+
+
+def _subjects(shown: Sequence[Transfer]) -> Tensor:
+    """The places that pictures of all of them are about."""
+    import torch
+
+    from torchprt import preview
+
+    return torch.cat([preview.subject(each.receivers).double() for each in shown])
 
 
 def picture_options(

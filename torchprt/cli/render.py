@@ -62,6 +62,9 @@ def render(
     repeat: Annotated[
         str | None, typer.Option(help="With --on: patches from 0 to 1 along u,v.", show_default="1,1")
     ] = None,
+    volume: Annotated[
+        Path | None, typer.Option(help="The bake of a volume, as a cloud, that stands before and around the model.")
+    ] = None,
     with_ground: bake_options.WithGround = False,
     repair: asked.Repair = False,
     bake: bake_options.Keep = None,
@@ -111,6 +114,8 @@ def render(
         raise InputError("--repeat is for a patch on a mesh: name the mesh with --on")
     if on is not None and show != SHOWN[0]:
         raise InputError(f"--show is {show}, but a patch has no vertices: leave it or --on out")
+    if volume is not None and (on is not None or show != SHOWN[0]):
+        raise InputError("--volume is given, which goes with radiance at vertices: leave it, or --on and --show, out")
     times = options.numbers("1,1" if repeat is None else repeat, 2, "--repeat")
     if turntable and light_turntable:
         raise InputError("--turntable and --light-turntable are both given: give one, the other stands still")
@@ -130,7 +135,13 @@ def render(
     if on is not None and lamps:
         raise InputError("--emitter is given, but a patch is lit by one light from far away: leave it or --on out")
     environment = picture.environment(opened.order, bool(lamps) and light is None)
-    loaded = with_points(opened.transfer(), lamps)
+    loaded = opened.transfer()
+    if lamps and (volume is not None or not loaded.receivers.on_surface):
+        raise InputError("--emitter is given, but a volume is lit by one light from far away: leave it out")
+    if show != SHOWN[0]:
+        options.surface_of(loaded, "--show", source[0])
+    loaded = with_points(loaded, lamps)
+    around = () if volume is None else (prt.load_transfer(volume),)
     chosen = None if opened.scene else options.gloss_of(loaded, material)
     if with_ground:
         loaded = loaded.with_ground()
@@ -138,16 +149,16 @@ def render(
     if on is None:
         shader = prt.shader(loaded, brdf=chosen)
         near = LampShader(shader, loaded, lamps) if lamps else None
-        studio = picture.studio(loaded, shader, environment, colours, near)
+        studio = picture.studio(loaded, shader, environment, colours, near, *around)
     else:
         studio = picture.patch_studio(loaded, on, times, chosen, environment)
         loaded = studio.transfer
     if turntable:
-        pictures = list(studio.turntable(turntable, picture.orbit(loaded, turntable), picture.rotation))
+        pictures = list(studio.turntable(turntable, picture.orbit(loaded, *around, sides=turntable), picture.rotation))
     elif light_turntable:
-        pictures = list(studio.light_turntable(light_turntable, picture.camera(loaded), picture.rotation))
+        pictures = list(studio.light_turntable(light_turntable, picture.camera(loaded, *around), picture.rotation))
     else:
-        pictures = [studio.picture(picture.camera(loaded), picture.rotation)]
+        pictures = [studio.picture(picture.camera(loaded, *around), picture.rotation)]
     if "#" in output.name or ends in (".gif", ".mp4") or (ends in MOVIES and len(pictures) > 1):
         preview.save_movie(pictures, output, rate)
     else:

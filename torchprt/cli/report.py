@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
-    from torchprt.transfer import Layer, Transfer
+    from torchprt.transfer import Cells, Layer, Transfer
 
 
 def say(what: Any) -> None:
@@ -67,13 +67,13 @@ def describe(transfer: Transfer) -> str:
     """Kind, size and Monte Carlo error of a transfer in a line."""
     parts = [transfer.kind, transfer.transport]
     if transfer.bounces:
-        parts.append(count(transfer.bounces, "bounce"))
+        parts.append(count(transfer.bounces, *_again(transfer)))
     parts.append(f"order {transfer.order}")
     parts += [_functions(each) for each in transfer.layers.values() if each.needs]
     parts += [count(transfer.channels, "channel")]
-    parts.append(count(transfer.vertices, "node" if "receivers" in transfer.needs else "vertex"))
+    parts.append(count(transfer.vertices, _place(transfer)))
     counts = [layer.signal.shape[0] for layer in transfer.eye_layers.values()]
-    if counts:
+    if counts and transfer.receivers.on_surface:
         parts[-1] += f" ({max(counts)} glossy)"
     signal = max(transfer.layers.values(), key=lambda layer: layer.bytes).signal
     stored = signal.tensors()["weights"].dtype if "weights" in signal.tensors() else signal.dtype
@@ -83,6 +83,18 @@ def describe(transfer: Transfer) -> str:
     return ", ".join(parts)
 
 
+def _place(transfer: Transfer) -> str:
+    """What its receivers are called."""
+    if not transfer.receivers.on_surface:
+        return "cell"
+    return "node" if "receivers" in transfer.needs else "vertex"
+
+
+def _again(transfer: Transfer) -> tuple[str, str]:
+    """What light does once more, one and many."""
+    return ("bounce", "bounces") if transfer.receivers.on_surface else ("pass", "passes")
+
+
 def details(transfer: Transfer) -> list[str]:
     """Lines about where a transfer was recorded, and of each layer what it is and what it loses."""
     place = transfer.receivers.metadata()
@@ -90,7 +102,9 @@ def details(transfer: Transfer) -> list[str]:
     if "rows" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
-    if "spacing" in place:
+    if not transfer.receivers.on_surface:
+        lines = _volume(transfer.receivers.as_cells())
+    elif "spacing" in place:
         lines = _grid(place)
     objects = [each for each in place.get("objects", ()) if each["side"] == "front"]
     if len(objects) > 1:
@@ -112,6 +126,21 @@ def details(transfer: Transfer) -> list[str]:
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
         lines += [f"{name}: {line}" for line in told]
     return lines
+
+
+def _volume(cells: Cells) -> list[str]:
+    """Where cells stand, how many hold anything, and how thick it is."""
+    corners = " to ".join("({:.3g}, {:.3g}, {:.3g})".format(*corner) for corner in cells.box)
+    whole = math.prod(cells.shape)
+    side = max(step * count for step, count in zip(cells.spacing, cells.shape, strict=True))
+    extinction = cells.extinction.double()
+    most, mean = (float(each) if cells.count else 0.0 for each in (extinction.amax(), extinction.mean()))
+    return [
+        f"volume of {'x'.join(map(str, cells.shape))} cells, {corners}: {cells.count} hold anything, "
+        f"{1 - cells.count / whole:.1%} are empty",
+        f"extinction {mean:.3g} in the mean of those, {most:.3g} at most: {mean * side:.3g} and {most * side:.3g} over "
+        "the longest side",
+    ]
 
 
 def _grid(place: dict[str, Any]) -> list[str]:
@@ -171,7 +200,12 @@ def _surface(layer: Layer) -> list[str]:
             lines.append(f"{count(about['inside'], 'node')} in the object, filled from those around")
         return lines
     if "materials" not in about:
-        return [f"{layer.weight_name} {_weight(layer.weight)}"]
+        lines = [f"{layer.weight_name} {_weight(layer.weight)}"]
+        if "moments" in about:
+            # Of a single moment there is no direction.
+            cosine = [*about["moments"], 0.0][1]
+            lines.append(f"phase function of order {len(about['moments'])}, mean cosine {cosine:.3g}")
+        return lines
     names = ", ".join(about["materials"]) or "none"
     lines = [f"materials {names}, {layer.weight_name} {_weight(layer.weight)}"]
     if "reflectance" in layer.needs:

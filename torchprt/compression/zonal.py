@@ -33,11 +33,16 @@ def fit(
     transfer, and the 25 of exit matrices cost 25 times a diffuse layer, in time and in bytes. What a fit costs is in
     its signal: `squared_error` of every receiver and `fit_error`, relative RMS.
 
-    Raises InputError as `fit_lobes`, if the transfer has no receivers, is compressed already, or holds visibility.
+    Raises InputError as `fit_lobes`, if the transfer has no receivers, is compressed already, holds visibility, or is
+    of a volume.
     Source: Sloan, Luna and Snyder 2005, sections 3.2 and 4.1.
     """
     options: dict[str, Any] = {"smooth": smooth, "restarts": restarts, "seed": seed, "smoothness": smoothness}
     options["report"] = report
+    if not transfer.receivers.on_surface:
+        raise InputError(
+            "lobes are for transfer that turns with a surface, and a volume has no surface: compress it in clusters"
+        )
     fitted = {}
     for name, layer in transfer.layers.items():
         signal = layer.signal

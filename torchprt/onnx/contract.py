@@ -39,13 +39,13 @@ def promised(order: int, vertices: int, size: int | None = None, lights: int | N
     }
 
 
-def check_signature(what: str, inputs: Signature, outputs: Signature, wanted: Shapes) -> None:
-    """ParityError unless `radiance` is the only output, and all have the shapes `wanted` and are float32.
+def check_signature(what: str, inputs: Signature, outputs: Signature, wanted: Shapes, output: str = "radiance") -> None:
+    """ParityError unless `output` is the only one, and all have the shapes `wanted` and are float32.
 
     The size B must have this one name in all of them: a runtime then knows that it is the same.
     """
-    if list(outputs) != ["radiance"]:
-        raise ParityError(f"{what} has the outputs {', '.join(outputs) or 'none'}: 'radiance' alone was promised")
+    if list(outputs) != [output]:
+        raise ParityError(f"{what} has the outputs {', '.join(outputs) or 'none'}: '{output}' alone was promised")
     for name, (dtype, shape) in (inputs | outputs).items():
         if name not in wanted:
             raise ParityError(f"{what} has an input '{name}', which is none of {', '.join(wanted)}")

@@ -149,9 +149,10 @@ def traced(
     free: dict[str, dict[int, Any] | None],
     about: Mapping[str, str] = INPUTS,
     arguments: Mapping[str, str] = ARGUMENTS,
+    output: str = "radiance",
 ) -> onnx.ModelProto:
     """The graph of `module`, called with `examples` by name, whose `free` dimensions have a name; `about`: what inputs
-    and outputs are; `arguments`: those of the module whose input has another name."""
+    and outputs are; `arguments`: those of the module whose input has another name; `output`: its name."""
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
             module,
@@ -160,7 +161,7 @@ def traced(
             verbose=False,
             opset_version=OPSET,
             input_names=list(examples),
-            output_names=["radiance"],
+            output_names=[output],
             dynamic_shapes={arguments.get(name, name): sizes for name, sizes in free.items()},
         )
     assert program is not None

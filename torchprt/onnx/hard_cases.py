@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchprt.sh import yaw_pitch_roll
-from torchprt.shade import EyeLayerModule, FixedLightShader, Shader
+from torchprt.shade import EyeLayerModule, FixedLightShader, PhaseLayer, Shader
 
 FAR = 1e4
 # Of eyes, in turn.
@@ -19,10 +19,12 @@ KINDS = 6
 
 @dataclass(frozen=True)
 class Seen:
-    """The receivers of a layer that depends on the eye, in a pose: `points [3, G]`, local frames `[3, 3, G]`."""
+    """The receivers of a layer that depends on the eye, in a pose: `points [3, G]`, local frames `[3, 3, G]`; whether
+    they have a `horizon`, under which nothing is seen."""
 
     points: Tensor
     frames: Tensor
+    horizon: bool = True
 
 
 def random_eyes(seen: Seen, name: str, count: int, generator: torch.Generator) -> Tensor:
@@ -74,6 +76,8 @@ def conditions(seen: Seen, eye: Tensor | None, view: Tensor | None) -> Tensor:
         toward = view.expand(seen.points.shape[1], 3)
     else:
         toward = eye - seen.points.T
+    if not seen.horizon:
+        return torch.ones(len(toward), dtype=toward.dtype)
     largest = toward.abs().amax(-1, keepdim=True)
     toward = toward / torch.where(largest > 0, largest, math.inf)
     x, y, z = (seen.frames.permute(2, 0, 1) @ toward.unsqueeze(-1)).squeeze(-1).unbind(-1)
@@ -81,7 +85,9 @@ def conditions(seen: Seen, eye: Tensor | None, view: Tensor | None) -> Tensor:
     return torch.where(z < 0, across / torch.where(length > 0, length, 1.0), 1.0)
 
 
-def receivers(shader: Shader | FixedLightShader, layer: EyeLayerModule, pose: Mapping[str, Tensor]) -> Seen:
+def receivers(
+    shader: Shader | FixedLightShader, layer: EyeLayerModule | PhaseLayer, pose: Mapping[str, Tensor]
+) -> Seen:
     """The receivers of a layer of a shader, where "positions" or "frames" in `pose` have put them."""
     points, local = layer.points, layer.frames
     given = {name: pose[name].double() for name in ("frames", "positions") if name in pose}
@@ -91,7 +97,7 @@ def receivers(shader: Shader | FixedLightShader, layer: EyeLayerModule, pose: Ma
         local = torch.einsum("gij,kjg->kig", layer.among(turned, 0), local.double())
         if "positions" in given:
             points = layer.among(given["positions"], 0).T
-    return Seen(points, local)
+    return Seen(points, local, isinstance(layer, EyeLayerModule))
 
 
 def random_poses(shader: Shader | FixedLightShader, name: str, seed: int) -> list[dict[str, Tensor]]:

@@ -19,7 +19,14 @@ from torchprt.onnx.contract import check_signature, promised
 from torchprt.onnx.hard_cases import conditions, eyes_of_all, random_poses, receivers
 from torchprt.sh import bands, hemisphere_gram, yaw_pitch_roll
 from torchprt.sh.hemisphere import DISCARDED
-from torchprt.shade import EnvironmentShader, EyeLayerModule, FixedLightShader, LocalLightShader, Shader
+from torchprt.shade import (
+    EnvironmentShader,
+    EyeLayerModule,
+    FixedLightShader,
+    LocalLightShader,
+    PhaseLayer,
+    Shader,
+)
 from torchprt.words import count
 
 Module: TypeAlias = Shader | EnvironmentShader | FixedLightShader | LocalLightShader
@@ -179,10 +186,10 @@ def _lights(module: Module) -> int | None:
     return _lights(module.shader) if isinstance(module, EnvironmentShader) else None
 
 
-def _eye_layers(module: Module | None) -> list[EyeLayerModule]:
+def _eye_layers(module: Module | None) -> list[EyeLayerModule | PhaseLayer]:
     """The layers that depend on the eye."""
     layers = [] if module is None else _shader(module).layers.values()
-    return [layer for layer in layers if isinstance(layer, EyeLayerModule)]
+    return [layer for layer in layers if isinstance(layer, EyeLayerModule | PhaseLayer)]
 
 
 def _shade(module: Module, case: dict[str, Tensor]) -> Tensor:

@@ -23,6 +23,7 @@ from .sheet import sheet
 from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
 from .video import check_video, save_mp4
+from .volume import VolumeStudio, studio_of
 from .window import check_window, show
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Session",
     "Still",
     "Studio",
+    "VolumeStudio",
     "along",
     "automatic_exposure",
     "built_in_environment",
@@ -71,6 +73,7 @@ __all__ = [
     "sight_colours",
     "sight_legend",
     "strip",
+    "studio_of",
     "subject",
     "tone_map",
 ]

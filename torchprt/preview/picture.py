@@ -37,6 +37,11 @@ class Still:
     Raises InputError if the model has no faces or the picture no pixels.
     """
 
+    _sky: _Sky | None
+    _tint: Tensor | None
+    _plain: Tensor | None
+    _veil: Tensor | None
+
     def __init__(
         self,
         positions: Float[Tensor, "V 3"],
@@ -87,8 +92,8 @@ class Still:
         self._weights = torch.where(front[:, None], weights * (solid[:, None] / samples), 0).flatten()
         self._starts = 3 * torch.cat([torch.zeros(1, dtype=torch.int64), self._counts.cumsum(0)])
         self._through = torch.where(hits.triangle < len(faces), 1.0, 0.0).masked_scatter_(seen, 1 - solid)
-        self._sky: _Sky | None = None
-        self._tint: Tensor | None = None
+        self._sky = None
+        self._tint = None
         if len(shiny):
             # A faded ground is as transparent in a mirror.
             share = reflected.share * self._through.flatten()[shiny, None] / samples
@@ -97,7 +102,45 @@ class Still:
             tint[shiny] = reflected.share
             self._tint = tint.view(*seen.shape, 3)[seen].repeat_interleave(3, 0)
             self._through.view(-1)[shiny] = 0
-        self._plain: Tensor | None = None
+        self._plain = None
+        self._seen, self._veil = seen, None
+
+    @classmethod
+    def empty(cls, *, size: tuple[int, int], camera: Camera, samples: int = SAMPLES) -> Still:
+        """The picture of nothing at all, before which something may stand that is no surface (`veiled`)."""
+        made = cls.__new__(cls)
+        pixels = size[0] * size[1]
+        made.size, made.camera, made._samples, made._vertices = size, camera, samples, 0
+        made._corners, made._weights = torch.zeros(0, dtype=torch.int64), torch.zeros(0)
+        made._hits = (made._corners, torch.zeros(0, 3), torch.zeros(0))
+        made._counts = torch.zeros(pixels, dtype=torch.int64)
+        made._starts = torch.zeros(pixels + 1, dtype=torch.int64)
+        made._through = torch.ones(pixels, samples)
+        made._seen = torch.zeros(pixels, samples, dtype=torch.bool)
+        made._sky = made._tint = made._plain = made._veil = None
+        return made
+
+    def distances(self, positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "H W S"]:
+        """From the eye to the surface along every ray, infinity where it meets none."""
+        far = torch.full(self._seen.shape, torch.inf, dtype=torch.float64)
+        triangle, weights = self.hits
+        if len(triangle):
+            places = (positions.double()[faces.long()[triangle]] * weights.double()[..., None]).sum(1)
+            far[self._seen] = (places - torch.tensor(self.camera.eye, dtype=torch.float64)).norm(dim=-1)
+        return far.view(self.size[1], self.size[0], -1)
+
+    def veiled(self, radiance: Float[Tensor, "H W S 3"], through: Float[Tensor, "H W S"]) -> Still:
+        """The same seen through something that adds `radiance` along every ray and lets the share `through` pass."""
+        made = copy.copy(self)
+        rays = through.reshape(self._through.shape).to(self._through)
+        triangle, weights, share = self._hits
+        left = rays[self._seen]
+        made._hits = triangle, weights, share * left
+        made._weights = self._weights * left.repeat_interleave(3)
+        made._through = self._through * rays
+        veil = radiance.reshape(*rays.shape, 3).mean(1)
+        made._veil = veil if self._veil is None else veil + self._veil
+        return made
 
     def directions(self) -> Float[Tensor, "H W S 3"]:
         """The world direction of every ray, in the order of the samples."""
@@ -200,9 +243,13 @@ class Still:
             total = torch.cat([self._sum(values[:, None], weights * tint) for values, tint in shares], 1)
         if self._sky is not None and sky is not None:
             total = total.index_add(0, self._sky.pixel, self._sky.share.to(radiance) * sky.to(radiance))
+        if self._veil is not None:
+            total = total + self._veil.to(radiance)
         return total.view(self.size[1], self.size[0], 3)
 
     def _sum(self, values: Tensor, weights: Tensor) -> Tensor:
+        if not len(self._corners):
+            return values.new_zeros(len(self._counts), values.shape[1])
         return embedding_bag(
             self._corners,
             values.contiguous(),

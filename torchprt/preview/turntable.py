@@ -83,6 +83,8 @@ class Studio:
             radiance, exposure, tone = self._colours, 0.0, "none"
         elif radiance is None:
             still, radiance = self.shaded(camera, rotate(self.environment.light, rotation))
+        else:
+            still, radiance = self.given(camera, radiance)
         sky = self._surroundings(camera, still.sky, rotation)
         if self.background == "transparent":
             return still.cutout(radiance.float(), exposure=exposure, tone=tone, sky=sky)
@@ -92,6 +94,10 @@ class Studio:
     def shaded(self, camera: Camera, light: Float[Tensor, "N 3"]) -> tuple[Still, Float[Tensor, "V 3"]]:
         """What a camera sees, and its radiance under a light: a `Still` and what its `radiance` makes pixels of."""
         return self._look(camera), self._relight(light, torch.tensor(camera.eye, dtype=torch.float64))
+
+    def given(self, camera: Camera, radiance: Float[Tensor, "V 3"]) -> tuple[Still, Float[Tensor, "V 3"]]:
+        """As `shaded`, of radiance that is known."""
+        return self._look(camera), radiance
 
     def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:

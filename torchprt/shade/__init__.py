@@ -3,6 +3,7 @@
 from .adaptive import Adapted, AdaptiveShader, Regions, adaptive
 from .at_rest import at_rest
 from .clustered import ClusteredSignal
+from .composite import READINGS, Composite, Reading
 from .dense import DenseSignal
 from .display import agx, display, filmic, neutral, srgb, tone_mapped
 from .environment import EnvironmentShader
@@ -16,19 +17,24 @@ from .local_light import LocalLightShader, local_light_shader
 from .neighbourhood import NeighbourhoodShader, by_ratio
 from .patch import lay, sample
 from .patch_shader import PatchShader
+from .phase import PhaseLayer
+from .rays import pinhole
 from .receiving import DIFFUSE, BrdfReceiving, PhongReceiving, Receiving
 from .shader import Shader, shader
 from .signal import Making, SignalModule, signal_module
 from .visibility import VisibilityLayer
+from .volume import VolumeShader
 from .white import white
 from .zonal import ZonalSignal
 
 __all__ = [
     "DIFFUSE",
+    "READINGS",
     "Adapted",
     "AdaptiveShader",
     "BrdfReceiving",
     "ClusteredSignal",
+    "Composite",
     "DenseSignal",
     "DiffuseLayer",
     "EnvironmentShader",
@@ -42,12 +48,15 @@ __all__ = [
     "Making",
     "NeighbourhoodShader",
     "PatchShader",
+    "PhaseLayer",
     "PhongReceiving",
+    "Reading",
     "Receiving",
     "Regions",
     "Shader",
     "SignalModule",
     "VisibilityLayer",
+    "VolumeShader",
     "ZonalSignal",
     "adaptive",
     "agx",
@@ -60,6 +69,7 @@ __all__ = [
     "layer_module",
     "local_light_shader",
     "neutral",
+    "pinhole",
     "sample",
     "shader",
     "signal_module",

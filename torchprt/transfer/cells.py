@@ -33,6 +33,7 @@ class Cells(Receivers):
     """
 
     kind: ClassVar[str] = "cells"
+    on_surface: ClassVar[bool] = False
     layouts: ClassVar[dict[str, Layout]] = {"cells": Layout(("V",), WHOLE), "extinction": Layout(("V",), REAL)}
 
     shape: Sequence[int]
@@ -82,6 +83,19 @@ class Cells(Receivers):
         """The lowest and the highest corner of the whole grid."""
         high = [low + step * count for low, step, count in zip(self.origin, self.spacing, self.shape, strict=True)]
         return list(self.origin), high
+
+    @property
+    def subject(self) -> Float[Tensor, "8 3"]:
+        """What pictures frame: the corners of the box of those that hold anything."""
+        places = self.places()
+        if not len(places):
+            places = torch.zeros(1, 3, dtype=torch.float64, device=self.cells.device)
+        ends = torch.stack([places.amin(0), places.amax(0) + 1])
+        corners = torch.cartesian_prod(*ends.unbind(1))
+        step, low = (
+            torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin)
+        )
+        return (low + corners * step).to(torch.float32)
 
     def dense(self, values: Float[Tensor, "*B V"]) -> Float[Tensor, "*B X Y Z"]:
         """Values of the receivers as those of all cells, zero where there is nothing."""

@@ -26,6 +26,8 @@ class Receivers(Part, abc.ABC):
     """V receivers: `positions [V, 3]`, unit `normals [V, 3]` (zero where there is none), `faces [F, 3]` to draw."""
 
     family: ClassVar[dict[str, type[Any]]] = {}
+    # Whether they are on something that can turn, and transfer with it.
+    on_surface: ClassVar[bool] = True
 
     positions: Any
     normals: Any

@@ -34,11 +34,14 @@ from torchprt.transport.volume_tasks import BOTH, GROUPS, Enter, Inside, Scatter
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
-THICK = 1.0
+NARROW = 0.8
+"""Moment of the first band of a phase function that is left out, above which that is warned of: with .77 radiance of a
+cloud under a light of order 5 still agreed with a path tracer within 2 %."""
+THICK = 2.0
 """Optical depth of a cell above which the coarseness of the grid is warned of."""
 # What the cells send varies less with the direction than the light does.
 _FEWER = 16
-_FEWEST = 64
+_FEWEST, _A_ROW = 64, 8
 
 
 class VolumeWarning(UserWarning):
@@ -68,7 +71,7 @@ def bake_volume(
     - `order` of the light; `output_order` of what arrives in a cell (that of the light by default, no larger), which a
       phase function needs.
     - `rays`: directions that all cells are swept along, for the light; what cells send to each other is swept along a
-      sixteenth of them.
+      sixteenth of them, but no fewer than 64 and eight a row.
     - `bounces`: how often what was scattered is scattered again: 0, a count, `math.inf` until a pass adds less than
       1e-4 of the transfer (RMS), or "auto", 1e-2. Without end they are not made one by one, see `passes.endless`;
       `bounces` of the result is how many there were.
@@ -134,7 +137,7 @@ def _moments(volume: Volume, order: int, output_order: int | None) -> tuple[floa
         return (1.0,)
     kept = volume.moments[: output_order or order]
     left = max(map(abs, volume.moments[len(kept) :]), default=0.0)
-    if left > 0.3:
+    if left > NARROW:
         warnings.warn(
             f"{volume.name} scatters more narrowly than {len(kept)} bands can say: the next band of its phase function "
             f"has the moment {left:.2f}; give a larger order, or a phase function that is wider",
@@ -210,7 +213,7 @@ def _solved(
         return direct.repeat(1, 1, channels), 0, difference
     direct, difference = direct.repeat(1, 1, channels), difference.repeat(1, 1, channels)
     factors = albedo.expand(-1, channels).repeat_interleave(inside.order**2, 1)
-    rays = max(_FEWEST, inside.rays // _FEWER)
+    rays = max(_FEWEST, _A_ROW * inside.rows, inside.rays // _FEWER)
     tasks = [
         Scatter(slice(first, first + inside.order**2), group, rays, BOTH)
         for first in range(0, direct.shape[2], inside.order**2)
