@@ -59,6 +59,9 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
     "cast": [
         *((f"a{suffix}", ["around.safetensors", "ball.ply", *LAMP, *SIZE]) for suffix in (".png", ".gif")),
     ],
+    "volume": [
+        ("a.safetensors", ["cloud.npy", "--rays", "16", "--threads", "1", "--bounces", "1"]),
+    ],
     "tradeoff": [("sweep", [BALL, *LAMP])],
     "demo": [("demo", [])],
     # They answer, and write nothing.
@@ -96,6 +99,7 @@ def inputs(folder, tmp_path_factory):
     save(bake_patch(mesh, size=4, lobes=1, order=3, rays=16, threads=1, progress=False), made / "patch.safetensors")
     around = bake_neighbourhood(read_scene(made / "ball.ply"), grid=8, rays=16, threads=1, progress=False)
     save(around, made / "around.safetensors")
+    np.save(made / "cloud.npy", np.full((4, 4, 4), 0.2, np.float32))
     corners = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for y in range(9) for x in range(9))
     first = [9 * y + x + 1 for y in range(8) for x in range(8)]
     faces = "".join("f " + " ".join(f"{a + step}/{a + step}" for step in (0, 1, 10, 9)) + "\n" for a in first)

@@ -39,6 +39,7 @@ def bake(
     blocker: bake_options.Blocker = None,
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
+    volume: bake_options.Through = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
     raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: bake_options.Seed = None,
@@ -91,9 +92,11 @@ def bake(
         ground_albedo=ground_albedo,
     )
     say(scene)
+    through = None if volume is None else bake_options.through(volume)
     if recipe is not None:
         say(f"{plan}: {recipe.name}")
-        _bake_planned(scene, output, recipe, predicted, located, seed=seed or 0, threads=threads, raw=raw)
+        common = {"seed": seed or 0, "threads": threads, "raw": raw, "volume": through}
+        _bake_planned(scene, output, recipe, predicted, located, **common)
         return
     transfer = bake_options.baked(
         scene,
@@ -112,6 +115,7 @@ def bake(
         projection=onto,
         factors=few,
         raw=raw,
+        volume=through,
     )
     for line in details(transfer)[1:]:
         say(line)

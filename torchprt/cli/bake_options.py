@@ -102,6 +102,14 @@ GroundAlbedo = Annotated[
     str | None,
     typer.Option("--ground-albedo", rich_help_panel=SCENE, help="Of the ground: 0.5, or r,g,b.", show_default="0.5"),
 ]
+Through = Annotated[
+    Path | None,
+    typer.Option(
+        "--volume",
+        rich_help_panel=SCENE,
+        help="A cloud whose shadow and light fall on the scene: a .safetensors of `torchprt volume`.",
+    ),
+]
 Seed = Annotated[
     int | None,
     typer.Option("--seed", rich_help_panel=BAKE, min=0, help="Turns the set of directions.", show_default="0"),
@@ -233,6 +241,18 @@ def _said(text: str) -> dict[str, Any]:
     except ValueError:
         return {"material": options.surface(text, None)}
     return {"albedo": numbers[0] if len(numbers) == 1 else numbers}
+
+
+def through(file: Path) -> Transfer:
+    """What was baked of a volume."""
+    from torchprt.transfer import load
+
+    found = load(file)
+    try:
+        found.receivers.as_cells()
+    except InputError as fault:
+        raise InputError(f"{file} is no volume, as --volume takes: make one with `torchprt volume`") from fault
+    return found
 
 
 def located(points: int | None, gradients: bool, seed: int) -> Callable[[Transfer], Transfer]:

@@ -32,6 +32,7 @@ from torchprt.cli.report import answer, complain, unheard
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
 from torchprt.cli.tradeoff import tradeoff
+from torchprt.cli.volume import volume
 from torchprt.errors import InputError
 from torchprt.files import NO_ROOM
 from torchprt.progress import QUIET, quiet
@@ -53,6 +54,7 @@ VERBS: tuple[Callable[..., None], ...] = (
     lay,
     neighbourhood,
     cast,
+    volume,
     render,
     preview,
     demo,

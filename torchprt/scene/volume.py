@@ -79,6 +79,22 @@ class Volume:
         return self.extinction > 0
 
     @property
+    def depth(self) -> float:
+        """The largest optical depth along an axis: e^-depth of the light is left behind it."""
+        sums = [self.extinction.sum(axis, dtype=torch.float64) * step for axis, step in enumerate(self.spacing)]
+        return max(float(each.max()) for each in sums)
+
+    def __str__(self) -> str:
+        """How many cells there are, how many hold anything, where they stand, and how thick it is."""
+        far = [low + step * count for low, step, count in zip(self.origin, self.spacing, self.shape, strict=True)]
+        corners = " to ".join("({:.3g}, {:.3g}, {:.3g})".format(*corner) for corner in (self.origin, far))
+        held = int(self.occupied.sum())
+        return (
+            f"{'x'.join(map(str, self.shape))} cells, {corners}, {held} hold anything "
+            f"({held / self.occupied.numel():.0%}), optical depth up to {self.depth:.3g} along an axis"
+        )
+
+    @property
     def isotropic(self) -> bool:
         """Whether it scatters light alike in all directions."""
         return not any(self.moments[1:])
