@@ -15,17 +15,19 @@ from torchprt.files import atomic, make_folder
 from torchprt.scene import Material, samples
 from torchprt.shade import display, local_light_shader, shader
 from torchprt.transfer import Transfer, save
-from torchprt.transport import bake, bake_neighbourhood
+from torchprt.transport import bake, bake_neighbourhood, bake_volume
 from torchprt.words import count
 
 SIZE = (420, 420)
 EXPOSURE = -1.7
 """Of the studio, as `preview.automatic_exposure` gives it."""
 STONE = 0.6
+BLUE = (0.38, 0.5, 0.68)
 # Order of the glossy part: of the light, and toward the eye.
 GLOSS = 6
-# Vertices along an edge of the plane under the ring, and nodes around the glider.
-RING, NODES = 128, 1 << 14
+# Vertices along an edge of the plane under the ring, nodes around the glider, cells along an edge of the cloud, squares
+# along one of the land below it.
+RING, NODES, CLOUD, LAND = 128, 1 << 14, 32, 96
 Say = Callable[[str], None]
 
 
@@ -99,6 +101,11 @@ def _beyond(folder: Path, sculpture: Transfer, say: Say) -> None:
     save(around, folder / "glider.safetensors")
     preview.save_png(gliding(around), folder / "glider.png")
     say("A glider drags its shadow over land that it has never seen: glider.safetensors, glider.png")
+    over_land, land = clouded()
+    save(over_land, folder / "cloud.safetensors")
+    save(land, folder / "land.safetensors")
+    preview.save_png(under_cloud(over_land, land), folder / "cloud.png")
+    say(f"A cloud of {count(over_land.vertices, 'cell')} over land: cloud.safetensors, land.safetensors, cloud.png")
     preview.save_png(nearby(sculpture), folder / "lamps.png")
     say("Two lamps nearby, one light for all and one for each of 16 places: lamps.png")
 
@@ -129,6 +136,26 @@ def gliding(around: Transfer) -> Tensor:
     keys = torch.tensor([[-1.9, 0.9, -1.0, 75.0, 0.0, 0.0], [1.2, 0.9, 1.2, 30.0, 0.0, 20.0]])
     pictures = [cast.picture(pose[None]) for pose in preview.along(keys, 3)]
     return preview.sheet(pictures, ["", "", ""], columns=3)
+
+
+def clouded() -> tuple[Transfer, Transfer]:
+    """A cloud above land, which blocks the light of its cells, and the land in its shadow and its light."""
+    land = samples.terrain(LAND, extent=8.0, albedo=0.3)
+    cloud = samples.cloud(CLOUD).moved((0.0, 1.7, 0.0), scale=1.3)
+    over_land = bake_volume(cloud, blockers=land, rays=512, progress=False)
+    return over_land, bake(land, rays=512, bounces=1, volume=over_land, progress=False)
+
+
+def under_cloud(cloud: Transfer, land: Transfer) -> Tensor:
+    """A cloud whose shadow goes over land as the sun goes around."""
+    sun = light.disc((0.7, 1.0, 0.2), math.radians(12), (2.6, 2.2, 1.75), cloud.order, normalise=True)
+    sky = light.constant((0.2, 0.27, 0.42), cloud.order)
+    lit = preview.Environment("sun", (sun + sky).float())
+    camera = preview.Camera(eye=(0.0, 5.6, 9.0), target=(0.0, 0.7, 0.0), field=34.0)
+    studio = preview.VolumeStudio(cloud, lit, surface=land, size=SIZE, exposure=-0.9, background=BLUE)
+    yaws = [0.0, 120.0, 240.0]
+    pictures = [studio.picture(camera, sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0]))) for yaw in yaws]
+    return preview.sheet(pictures, [f"yaw {yaw:.0f}" for yaw in yaws], columns=3)
 
 
 def nearby(transfer: Transfer) -> Tensor:

@@ -12,7 +12,7 @@ from torchprt.errors import InputError
 from torchprt.light import read
 from torchprt.scene import samples
 from torchprt.transfer import load
-from torchprt.transport import GridWarning, bake, bake_neighbourhood
+from torchprt.transport import GridWarning, bake, bake_neighbourhood, bake_volume
 
 
 @pytest.fixture
@@ -27,6 +27,9 @@ def small(monkeypatch):
             warnings.simplefilter("ignore", GridWarning)
             return bake_neighbourhood(scene, **{**options, "rays": 32, "progress": False})
 
+    def few_passes(volume, **options):
+        return bake_volume(volume, **{**options, "rays": 32, "bounces": 1})
+
     terrain = samples.terrain
     organic, square, box, teapot = samples.organic, samples.plane_and_blocker, samples.coloured_box, samples.teapot
     monkeypatch.setattr(demo, "bake", few)
@@ -39,7 +42,9 @@ def small(monkeypatch):
     monkeypatch.setattr(demo, "RING", 24)
     monkeypatch.setattr(demo, "NODES", 512)
     monkeypatch.setattr(demo, "bake_neighbourhood", few_nodes)
-    monkeypatch.setattr(demo.samples, "terrain", lambda _: terrain(24))
+    monkeypatch.setattr(demo.samples, "terrain", lambda *_, **options: terrain(24, **options))
+    monkeypatch.setattr(demo, "bake_volume", few_passes)
+    monkeypatch.setattr(demo, "CLOUD", 16)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -58,7 +63,7 @@ def test_writes_every_file_that_it_names_and_no_other(small, untyped, tmp_path):
     demo.run(tmp_path / "new" / "demo", said.append)
     written = {path.name for path in (tmp_path / "new" / "demo").iterdir()}
     assert written == set(re.findall(r"[a-z]+\.(?:exr|safetensors|png|ply|onnx)", " ".join(said)))
-    assert len(written) == 17
+    assert len(written) == 20
     for path in (tmp_path / "new" / "demo").glob("*.png"):
         with PIL.Image.open(path) as picture:
             # More than a white sheet with black words.

@@ -78,6 +78,23 @@ class Volume:
         """Which cells hold anything."""
         return self.extinction > 0
 
+    def moved(self, shift: Sequence[float | int] = (0.0, 0.0, 0.0), scale: float | int = 1.0) -> Volume:
+        """The same, `scale` times as large about the origin of the world and then moved by `shift`; as deep optically.
+
+        Raises InputError unless the scale is above 0 and all numbers are finite.
+        """
+        if not 0 < scale < math.inf:
+            raise InputError(f"scale is {scale:g}: give a number above 0")
+        by = _three(shift, "shift")
+        return Volume(
+            self.extinction / scale,
+            self.albedo,
+            origin=[low * scale + step for low, step in zip(self.origin, by, strict=True)],
+            spacing=[step * scale for step in self.spacing],
+            phase=self.moments,
+            name=self.name,
+        )
+
     @property
     def depth(self) -> float:
         """The largest optical depth along an axis: e^-depth of the light is left behind it."""
