@@ -27,7 +27,7 @@ def volume(
     albedo: Annotated[
         str | None,
         typer.Option(
-            rich_help_panel=GRID, help="Share of the light that is scattered: 0.99, or r,g,b.", show_default="file, or 1"
+            rich_help_panel=GRID, help="Share of light that is scattered: 0.99, or r,g,b.", show_default="file, or 1"
         ),
     ] = None,
     phase: Annotated[
@@ -52,7 +52,10 @@ def volume(
     name: Annotated[
         str | None,
         typer.Option(
-            "--grid", rich_help_panel=GRID, help="Which grid of a .vdb or .nvdb.", show_default="density, or the only one"
+            "--grid",
+            rich_help_panel=GRID,
+            help="Which one of a .vdb or .nvdb.",
+            show_default="the only one, or density",
         ),
     ] = None,
     blocker: bake_options.Blocker = None,

@@ -17,7 +17,9 @@ from torchprt.trace import Hits, Tracer
 from torchprt.transfer import Transfer
 
 # Rays followed at a time, so that what is known of them stays in a core's cache.
-_RAYS = 1 << 13
+_RAYS = 1 << 16
+# Planes after which rays that are through are left behind.
+_REST = 12
 # Numbers that are gathered from cells at a time.
 _NUMBERS = 1 << 23
 
@@ -100,7 +102,7 @@ class ThroughVolume:
         where it is not `wanted`. `origins`, `frames` and `directions` as for `Tracer.visibility`."""
         found = torch.ones(wanted.shape)
         rays = _Rays(self, tracer, origins, directions @ frames, torch.where(wanted, torch.inf, 0.0))
-        for rows in rays.groups(1):
+        for rows in rays.groups():
             which, _, (left, _, _) = rays.followed(rows, record=False)
             found[rows].view(-1)[which] = left
         return found
@@ -125,7 +127,7 @@ class ThroughVolume:
             found.arrives = torch.zeros(len(origins), emission.table.shape[2])
             if along_rays:
                 found.radiance = torch.zeros(len(origins), count, emission.table.shape[2])
-        for rows in rays.groups(1 if emission is None else emission.table[..., 0].numel()):
+        for rows in rays.groups(0 if emission is None else emission.table[..., 0].numel()):
             which, toward, (left, cells, gains) = rays.followed(rows, record=emission is not None)
             found.left[rows].view(-1)[which] = left
             if emission is None or not len(which):
@@ -176,10 +178,14 @@ class _Rays:
         self.high = torch.tensor(volume.extinction.shape, dtype=torch.float32) - 2
         self.ends = ends
 
-    def groups(self, numbers: int) -> Iterator[slice]:
-        """Slices of the receivers, of which each takes so many `numbers`, that are followed at a time."""
+    def groups(self, numbers: int = 0) -> Iterator[slice]:
+        """Slices of the receivers that are followed at a time; with `numbers`, of which each takes so many, what they
+        cross is recorded."""
         count, rays = self.toward.shape[:2]
-        step = max(1, min(_RAYS // rays, _NUMBERS // numbers))
+        step = _RAYS // rays
+        if numbers:
+            step = min(step, _NUMBERS // numbers, _NUMBERS // (rays * sum(self.volume.extinction.shape)))
+        step = max(1, step)
         return (slice(first, min(first + step, count)) for first in range(0, count, step))
 
     def followed(self, rows: slice, *, record: bool) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor]]:
@@ -214,44 +220,51 @@ def _follow(
     far: Float[Tensor, "E"],
 ) -> tuple[Float[Tensor, "E"], Int[Tensor, "E S"], Float[Tensor, "E S"]]:
     """What is left of light along rays from `near` to `far`; with `number` also the cells that each crosses, and what
-    it gains of their source radiance, e^-(depth in front of it) (1 - e^-(its own depth)). `unit`: lengths of the world in
-    one along a ray, a power of two.
+    it gains of their source radiance, e^-(depth in front of it) (1 - e^-(its own depth)). `unit`: lengths of the world
+    in one along a ray, a power of two.
 
     Exact for cells that are uniform, up to rounding.
     Source: Amanatides and Woo 1987, A Fast Voxel Traversal Algorithm for Ray Tracing.
     """
-    # Components first: sums over rays that stream.
-    start, step = start.T, step.T
+    # Components first: sums over rays that stream. Lengths count from where rays meet the box, not to lose digits.
+    start, step, far = (start + near[:, None] * step).T, step.T, far - near
     shape = torch.tensor(extinction.shape)[:, None]
     strides = torch.tensor(extinction.stride())[:, None]
-    cell = torch.minimum((start + near * step).floor().long() + 1, shape - 1).clamp(min=0)
-    ahead = (step > 0).long()
+    cell = torch.minimum(start.floor().long() + 1, shape - 1).clamp(min=0)
     # Where the next plane of each axis is met, and how far apart they are.
-    following = (cell - 1 + ahead - start) / step
+    following = (cell - 1 + (step > 0).long() - start) / step
     apart = step.abs().reciprocal()
     stride = torch.where(step > 0, strides, -strides)
-    place, at = (cell * strides).sum(0), near
+    place, at, depth = (cell * strides).sum(0), torch.zeros_like(near), torch.zeros_like(near)
     flat, numbers = extinction.flatten(), None if number is None else number.flatten()
-    depth = torch.zeros_like(near)
-    cells, depths = [], []
-    going = at < far
-    while bool(going.any()):
+    cells, depths = [], [depth]
+    whole, rays = depth.clone(), torch.arange(len(near))
+    for crossed in range(sum(extinction.shape)):
+        going = at < far
+        if not bool(going.any()):
+            break
+        if numbers is None and crossed % _REST == 0 and crossed:
+            # Those that are through need not be carried along.
+            whole[rays] = depth
+            kept = torch.nonzero(going)[:, 0]
+            rays, place, at, depth, far = (each[kept] for each in (rays, place, at, depth, far))
+            following, apart, stride = (each[:, kept] for each in (following, apart, stride))
+            going = going[kept]
         plane, axis = following.min(0)
         until = torch.minimum(plane, far).clamp(min=at)
+        depth = depth + flat[place] * (until - at) * unit
         if numbers is not None:
             cells.append(numbers[place])
-        depth = depth + flat[place] * (until - at) * unit
-        depths.append(depth)
+            depths.append(depth)
         at, axis = until, axis[None]
-        going = plane < far
-        place = place + torch.where(going, stride.gather(0, axis)[0], 0)
+        place = place + torch.where(plane < far, stride.gather(0, axis)[0], 0)
         following.scatter_add_(0, axis, apart.gather(0, axis))
-    left = torch.exp(-depth)
-    if number is None or not depths:
+    whole[rays] = depth
+    left = torch.exp(-whole)
+    if not cells:
         return left, torch.zeros(len(near), 0, dtype=torch.int32), torch.zeros(len(near), 0)
-    before = torch.stack([torch.zeros_like(near), *depths[:-1]], 1)
-    gains = torch.exp(-before) * -torch.expm1(before - torch.stack(depths, 1))
-    return left, torch.stack(cells, 1), gains
+    before, after = torch.stack(depths[:-1], 1), torch.stack(depths[1:], 1)
+    return left, torch.stack(cells, 1), torch.exp(-before) * -torch.expm1(before - after)
 
 
 def through(volume: Volume | Transfer | None, order: int) -> ThroughVolume | None:
