@@ -50,8 +50,8 @@ def scene(mi, geometry, light, material, mirror=None):
 
 
 def through_volume(mi, volume, light, eye, directions, paths, at_once=256, seed=0):
-    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` of one albedo that fills a cube, under
-    `light [N, 3]`, by so many paths each; and its standard error."""
+    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` of one albedo that fills a cube,
+    under `light [N, 3]`, by so many paths each; and its standard error."""
     grid = np.ascontiguousarray(volume.extinction.permute(2, 1, 0).numpy()[..., None])
     side = volume.shape[0] * volume.spacing[0]
     middle = [low + side / 2 for low in volume.origin]
