@@ -105,8 +105,8 @@ def path_tracer() -> None:
         whole, off, chance = (float(each[inside].square().mean().sqrt()) for each in (theirs, ours - theirs, noise))
         left = math.sqrt(max(off**2 - chance**2, 0.0))
         print(
-            f"mean cosine {cosine}: RMS difference {off / whole:.2%}, of which the paths' noise is {chance / whole:.2%}, "
-            f"the rest {left / whole:.2%}; path tracer {spent:.0f} s"
+            f"mean cosine {cosine}: RMS difference {off / whole:.2%}, of which the paths' noise is {chance / whole:.2%}"
+            f", the rest {left / whole:.2%}; path tracer {spent:.0f} s"
         )
         if cosine == 0:
             exposure = preview.automatic_exposure(lit.float())
