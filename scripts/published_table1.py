@@ -7,8 +7,8 @@ ATI Radeon 8500 (the rates), 10 000 to 30 000 directions over the sphere, light 
 a threshold. Ours: process CPU time of the bake, all its threads added up, with --rays directions over the hemisphere
 and bounces until one adds less than 1 %; the rates are calls a second of one thread, without drawing. Glossy rows
 have three rates, as in the paper: everything free, the light fixed, the eye fixed. Of the neighbourhood: the matrices
-of all nodes under a new light, and with a new pose and 10 000 receivers that read them. Of the volume: its cells under a
-new light; most of its 32 768 cells are empty, and are no receivers.
+of all nodes under a new light, and with a new pose and 10 000 receivers that read them. Of the volume: its cells under
+a new light; most of its 32 768 cells are empty, and are no receivers.
 """
 
 from __future__ import annotations

@@ -72,8 +72,8 @@ def medium(mi, volume):
 
 
 def through_volume(mi, volume, light, eye, directions, paths, at_once=256, seed=0):
-    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` under `light [N, 3]`, by
-    so many paths each; and its standard error."""
+    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` under `light [N, 3]`, by so
+    many paths each; and its standard error."""
     world = mi.load_dict({"type": "scene", "sky": sky(mi, light), "box": medium(mi, volume)})
     integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 1000})
     rays = np.repeat(directions.numpy(), at_once, 0)

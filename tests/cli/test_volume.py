@@ -51,6 +51,9 @@ def test_bakes_tells_and_casts_its_shadow(folder, cloud, tmp_path, run):
     assert ended.code == 0, ended.err
     assert "4x3x4 cells, (-1, 1.45, -1) to (1, 2.2, 1), 48 hold anything (100%)" in ended.out
     assert not list(tmp_path.glob("*.partial"))
+    np.savez(tmp_path / "cloud.npz", density=np.load(cloud))
+    told = run("info", tmp_path / "cloud.npz", baked)
+    assert "volume of 4x3x4 cells, (1, 1, 1) to (5, 4, 5)" in told.out
     found = load(baked)
     assert found.channels == 3
     assert found.layers["phase"].moments == pytest.approx([1.0, 0.3, 0.09])

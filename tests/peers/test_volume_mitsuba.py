@@ -25,7 +25,7 @@ def test_a_cloud_under_a_positive_light(phase):
     transfer = bake_volume(cloud, rays=1024, bounces=math.inf, progress=False)
     shader = VolumeShader(transfer, size=SIZE, field=FIELD, dtype=torch.float64)
     picture = shader(light, eye=EYE)
-    directions = pinhole(EYE, shader.target.double(), SIZE, FIELD)
+    directions = torch.nn.functional.normalize(pinhole(EYE, shader.target.double(), SIZE, FIELD), dim=-1)
     ours = picture[..., :3] + (1 - picture[..., 3:]) * (sh.basis(directions, 5) @ light)
     theirs, noise = path_tracer.through_volume(mi, cloud, light, EYE, directions.flatten(0, 1), PATHS)
     seen = picture[..., 3].flatten() > 0.01

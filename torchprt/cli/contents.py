@@ -158,6 +158,12 @@ def _array(path: Path) -> list[str]:
     return [f"{path}: {values.dtype} of shape {list(values.shape)}, {_span(values)}"]
 
 
+def _volume(path: Path) -> list[str]:
+    from torchprt.scene import read_volume
+
+    return [f"{path}: volume of {read_volume(path)}"]
+
+
 def _span(values: np.ndarray) -> str:
     import numpy as np
 
@@ -213,6 +219,7 @@ READERS: dict[str, Callable[[Path], list[str]]] = {
     **dict.fromkeys((".prt", ".pca"), _d3dx),
     ".onnx": _graph,
     ".npy": _array,
+    **dict.fromkeys((".npz", ".vdb", ".nvdb"), _volume),
     ".toml": _text,
     **dict.fromkeys(MESHES, _mesh),
     **dict.fromkeys(IMAGES, _image),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from torch import Tensor
 
 from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
@@ -267,6 +269,13 @@ def store_of(
         contents += [geometry.albedo, geometry.specular, geometry.translucency]
         parameters["bounces"] = bounces
         parameters["enough"] = job.enough
+    with kept_in(folder, contents, parameters) as store:
+        yield store
+
+
+@contextlib.contextmanager
+def kept_in(folder: Path | None, contents: Sequence[Tensor], parameters: dict[str, Any]) -> Iterator[Checkpoint]:
+    """A checkpoint of what `contents` and `parameters` decide, in a folder or a temporary one."""
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:
         yield store

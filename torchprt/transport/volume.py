@@ -13,15 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
-from torchprt.files import CannotWrite, no_temporary
 from torchprt.progress import Report, Silent
 from torchprt.scene import Object, Scene, Volume
 from torchprt.scene.geometry import gather
 from torchprt.trace import Tracer
 from torchprt.transfer import Cells, Dense, Diffuse, Layer, Phase, Transfer
-from torchprt.transport.bake import check_numbers
+from torchprt.transport.bake import check_numbers, kept_in
 from torchprt.transport.bounces import SPENT, UNSEEN, Bounces
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.passes import State, counted, endless
@@ -285,12 +283,5 @@ def _store(folder: Path | None, inside: Inside, albedo: Tensor, bounces: Bounces
         contents += [inside.blockers.tracer.corners(), inside.blockers.corner, inside.blockers.spacing]
     parameters: dict[str, object] = {"order": inside.order, "rays": inside.rays, "seed": inside.seed}
     parameters |= {"bounces": str(bounces), "version": VERSION}
-    store = Checkpoint(folder, fingerprint(contents, parameters))
-    try:
+    with kept_in(folder, contents, parameters) as store:
         yield store
-    except CannotWrite as fault:
-        if folder is not None:
-            raise
-        raise no_temporary(fault.reason) from fault
-    finally:
-        store.close()
