@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -87,7 +87,7 @@ def volume(
     """
     check_writable(output, (".safetensors",))
     count = options.bounces(bounces)
-    found = {
+    found: dict[str, Any] = {
         "albedo": None if albedo is None else options.colour(albedo, "--albedo"),
         "phase": None if phase is None else _one_or(options.numbers(phase, None, "--phase")),
         "spacing": None if spacing is None else _one_or(options.numbers(spacing, None, "--spacing")),
