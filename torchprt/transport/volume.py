@@ -79,8 +79,8 @@ def bake_volume(
     (`tracks`); what a cell gets is its mean along them. A cell that holds nothing costs nothing. `error` of the result
     is half the difference of what each half of the directions says, which is more than that of both.
     Laws: as for `bake`: the same bits whoever runs it and after any interruption, the same at any scale. Under a light
-    that is 1 everywhere what arrives in a volume of albedo 1 is 1, up to what passes leave; what comes in is taken,
-    scattered or goes out, each pass to rounding.
+    that is 1 everywhere what arrives in a volume of albedo 1 is 1, up to the `error` and to what passes leave; a pass
+    keeps energy to rounding: what cells send is taken by cells or leaves.
     Memory, G being cells that hold something and M rows (1, or the square of the output order): `4 G C M N` bytes for
     the result, ten times that while it is made; on disk, with a checkpoint, fourteen times.
 
