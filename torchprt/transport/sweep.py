@@ -80,5 +80,5 @@ def _cut(light: Tensor, cuts: Cuts, before: int, now: int) -> int:
     if cuts:
         for number in range(before + 1, now + 1):
             if number in cuts:
-                light.index_fill_(0, cuts[number], 0.0)
+                light.index_fill_(0, cuts[number].long(), 0.0)
     return now

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Hashable
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -23,6 +24,8 @@ class Blockers:
     tracer: Tracer
     corner: Float[Tensor, "3"]
     spacing: Float[Tensor, "3"]
+    # Every pass goes along the same tracks.
+    known: dict[Hashable, Cuts] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def light(self, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Float[Tensor, "T"]:
         """What enters on each track of a light of 1: nothing where a surface outside is in its way."""
@@ -31,6 +34,12 @@ class Blockers:
             seen = self.tracer.visibility(self._origins(start, direction), _same(len(start)), _single(direction))
             escapes.append((seen[:, 0] < 0).to(torch.float32))
         return torch.cat(escapes)
+
+    def cuts_of(self, key: Hashable, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Cuts:
+        """The `cuts` of tracks that go by this name, looked for once; four bytes a surface on a track are kept."""
+        if key not in self.known:
+            self.known[key] = self.cuts(slices, along, directions)
+        return self.known[key]
 
     def cuts(self, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Cuts:
         """Where tracks end on surfaces: at the nearest border of a cell on its way. Another begins there, dark."""
@@ -57,7 +66,7 @@ class Blockers:
                 event = 3 * slice_number + nearest
                 for each in event.unique().tolist():
                     found.setdefault(each, []).append(track[event == each] + number * along.count)
-        return {step: torch.cat(parts) for step, parts in found.items()}
+        return {step: torch.cat(parts).to(torch.int32) for step, parts in found.items()}
 
     def _starts(self, slices: Slices, along: Tracks) -> Float[Tensor, "D T 3"]:
         """Where tracks enter the first slice, in the world."""

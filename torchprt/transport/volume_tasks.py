@@ -153,8 +153,9 @@ class Scatter(Sweep):
         slices = inside.slices[GROUPS[self.group][0]]
         emission = emission[:, slices.order, self.rows].contiguous()
         arrives = torch.zeros_like(emission)
-        for directions, weights, along in self.along(inside, emission.shape[2]):
-            cuts = {} if inside.blockers is None else inside.blockers.cuts(slices, along, directions)
+        for number, (directions, weights, along) in enumerate(self.along(inside, emission.shape[2])):
+            key, blockers = (self.group, self.rays, self.half, number), inside.blockers
+            cuts = {} if blockers is None else blockers.cuts_of(key, slices, along, directions)
             gathered = (inside.gathered(directions) * weights).to(torch.float32)
             scattered(inside.medium, slices, along, emission, inside.sent(directions), gathered, cuts, arrives)
         return {"arrives": unsorted(arrives, slices)}
