@@ -92,7 +92,7 @@ class Cells(Receivers):
             places = torch.zeros(1, 3, dtype=torch.float64, device=self.cells.device)
         ends = torch.stack([places.amin(0), places.amax(0) + 1])
         corners = torch.cartesian_prod(*ends.unbind(1))
-        step, low = (torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin))
+        low, step = (ends.new_tensor(each) for each in (self.origin, self.spacing))
         return (low + corners * step).to(torch.float32)
 
     def dense(self, values: Float[Tensor, "*B V"]) -> Float[Tensor, "*B X Y Z"]:
