@@ -3,11 +3,10 @@
 import onnxruntime
 import pytest
 import torch
-from volumes import random_cells, random_volume
+from volumes import random_volume
 
-from torchprt.compression import compress
 from torchprt.errors import InputError
-from torchprt.onnx import compare_volume, describe, export, export_volume
+from torchprt.onnx import compare_volume, export, export_volume
 from torchprt.shade import VolumeShader
 
 pytestmark = pytest.mark.usefixtures("untyped")
@@ -47,16 +46,6 @@ def test_computes_what_the_shader_does_for_any_batch(tmp_path):
     assert not compare_volume(
         path, transfer.with_layers(phase=layer.replace(albedo=0.99 * layer.albedo)), **options
     ).passed
-
-
-def test_a_compressed_cloud_and_what_the_file_says(tmp_path):
-    transfer = compress(random_volume("diffuse", random_cells((5, 4, 3))), clusters=2, components=3)
-    path = tmp_path / "cloud.onnx"
-    assert export_volume(transfer, path, size=(5, 5)).parity.passed
-    told = describe(path)
-    assert told["kind"] == "clustered diffuse"
-    assert (told["width"], told["height"], told["field"], told["samples"]) == (5, 5, 35.0, 5)
-    assert (len(told["target"]), told["reading"]) == (3, "trilinear")
 
 
 @pytest.mark.parametrize("options", [{"eye": "direction"}, {"fix_light": torch.ones(16, 3)}])

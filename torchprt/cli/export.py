@@ -93,7 +93,13 @@ def export(
     import torchprt as prt
 
     ends = output.suffix.lower()
-    graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
+    graph: dict[str, Any] = {
+        "--from": source,
+        "--size": size,
+        "--eye": eye,
+        "--fix-eye": fix_eye,
+        "--fix-light": fix_light,
+    }
     graph |= {"--pose": pose, "--local": local or None}
     seen = {"--target": target, "--fov": fov, "--cells": cells or None}
     graph |= seen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -225,8 +225,8 @@ class Composite(KeepsSingle):
             middle = near.unsqueeze(-1) + (far - near).unsqueeze(-1) * steps
         if self.reading == "trilinear":
             return self._between(table, place, pace, middle, length, number)
-        index = 0
         with torch.no_grad():
+            index = torch.zeros_like(middle, dtype=torch.int32)
             for axis, count in enumerate(self.shape):
                 there = place[:, axis, None] + middle * pace[:, axis, None]
                 index = index * count + there.clamp(0, count - 1).int()
@@ -305,16 +305,15 @@ def _corners(table: Tensor, there: Tensor, number: Tensor) -> Tensor:
     flat = table.flatten(2).movedim(1, 0).flatten(1)
     first = number.long().unsqueeze(-1) * math.prod(sizes)
     for corner in range(8):
-        weight: Tensor | float = 1.0
-        index: Tensor | int = 0
-        inside: Tensor | bool = True
+        weight: Any = 1.0
+        index: Any = 0
+        inside: Any = True
         for axis, count in enumerate(sizes):
             side = corner >> axis & 1
             place = lows[axis] + side
             weight = weight * (parts[axis] if side else 1 - parts[axis])
             inside = inside & (place >= 0) & (place < count)
             index = index * count + place.clamp(0, count - 1)
-        assert isinstance(weight, Tensor)
         kept = torch.where(inside, weight, 0.0).to(flat.dtype)
         read = flat.index_select(1, (first + index).flatten()).view(-1, *there.shape[:-1]) * kept
         total = read if total is None else total + read

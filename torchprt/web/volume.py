@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchprt.files import write
 from torchprt.shade import Composite
 from torchprt.transfer import Cells
 
@@ -33,7 +34,7 @@ def save_volume(cells: Cells, folder: Path) -> dict[str, Any]:
     number = ((where[:, 0] * shape[1] + where[:, 1]) * shape[2] + where[:, 2]).int().cpu().numpy()
     extinction = cells.extinction.float().cpu().numpy()
     content = number.astype("<i4").tobytes() + extinction.astype("<f4").tobytes()
-    (folder / NAME).write_bytes(gzip.compress(content, 6, mtime=0))
+    write(folder / NAME, gzip.compress(content, 6, mtime=0))
     corner = [low + step * int(at) for low, step, at in zip(cells.origin, cells.spacing, first, strict=True)]
     return {"shape": shape, "corner": corner, "spacing": list(cells.spacing), "steps": reading.samples}
 
