@@ -5,8 +5,9 @@ import pytest
 import torch
 from volumes import random_volume
 
+from torchprt.compression import compress
 from torchprt.errors import InputError
-from torchprt.onnx import compare_volume, export, export_volume
+from torchprt.onnx import compare_volume, describe, export, export_volume
 from torchprt.shade import VolumeShader
 
 pytestmark = pytest.mark.usefixtures("untyped")
@@ -29,7 +30,7 @@ def test_refuses_what_is_no_volume_and_sizes_without_pixels(make_transfer, tmp_p
 
 
 def test_computes_what_the_shader_does_for_any_batch(tmp_path):
-    transfer, path = random_volume("phase"), tmp_path / "cloud.onnx"
+    transfer, path = compress(random_volume("phase"), clusters=2, components=3), tmp_path / "cloud.onnx"
     options = {"size": (10, 6), "field": 60.0, "samples": 9}
     report = export_volume(transfer, path, **options)
     assert report.parity.passed
@@ -41,6 +42,10 @@ def test_computes_what_the_shader_does_for_any_batch(tmp_path):
     torch.testing.assert_close(run(path, light=light, rotation=rotation, eye=eye), wanted, rtol=1e-3, atol=1e-4)
     none = run(path, light=light[:0], rotation=rotation[:0], eye=eye[:0])
     assert none.shape == (0, 6, 10, 4)
+    told = describe(path)
+    assert told["kind"] == "clustered phase"
+    assert (told["width"], told["height"], told["field"], told["samples"]) == (10, 6, 60.0, 9)
+    assert (len(told["target"]), told["reading"]) == (3, "trilinear")
     # Of another transfer, whose numbers differ a little.
     layer = transfer.layers["phase"]
     assert not compare_volume(
