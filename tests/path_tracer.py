@@ -28,9 +28,8 @@ def positive_light(order=5):
     return light
 
 
-def scene(mi, geometry, light, material, mirror=None):
-    """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
-    `light [N, 3]`."""
+def sky(mi, light):
+    """A light `[N, 3]` all around."""
     height, width = 512, 1024
     v, u = torch.meshgrid(
         (torch.arange(height, dtype=torch.float64) + 0.5) / height,
@@ -41,8 +40,47 @@ def scene(mi, geometry, light, material, mirror=None):
     # Mitsuba's left edge looks along -z, where ours has its centre.
     directions = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1).view(-1, 3)
     image = (sh.basis(directions, math.isqrt(len(light))) @ light).view(height, width, 3).float().numpy()
-    sky = {"type": "envmap", "bitmap": mi.Bitmap(image)}
-    return mi.load_dict({"type": "scene", "sky": sky, **_meshes(mi, geometry, material, mirror)})
+    return {"type": "envmap", "bitmap": mi.Bitmap(image)}
+
+
+def scene(mi, geometry, light, material, mirror=None):
+    """The triangles of a `Geometry` with our normals, of one Mitsuba material and one of its mirrors, under
+    `light [N, 3]`."""
+    return mi.load_dict({"type": "scene", "sky": sky(mi, light), **_meshes(mi, geometry, material, mirror)})
+
+
+def through_volume(mi, volume, light, eye, directions, paths, at_once=256, seed=0):
+    """Radiance `[R, 3]` that comes to the eye along directions through a `Volume` of one albedo that fills a cube,
+    under `light [N, 3]`, by so many paths each; and its standard error."""
+    grid = np.ascontiguousarray(volume.extinction.permute(2, 1, 0).numpy()[..., None])
+    side = volume.shape[0] * volume.spacing[0]
+    middle = [low + side / 2 for low in volume.origin]
+    place = mi.ScalarTransform4f().translate(list(volume.origin)).scale([side] * 3)
+    cube = mi.ScalarTransform4f().translate(middle).scale([side / 2] * 3)
+    density = {
+        "type": "gridvolume",
+        "grid": mi.VolumeGrid(grid),
+        "filter_type": "nearest",
+        "to_world": place,
+        "raw": True,
+    }
+    phase = {"type": "isotropic"} if volume.isotropic else {"type": "hg", "g": volume.moments[1]}
+    medium = {"type": "heterogeneous", "albedo": float(volume.albedo[0, 0]), "sigma_t": density, "phase": phase}
+    box = {"type": "cube", "to_world": cube, "bsdf": {"type": "null"}, "interior": medium}
+    world = mi.load_dict({"type": "scene", "sky": sky(mi, light), "box": box})
+    integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 1000})
+    rays = np.repeat(directions.numpy(), at_once, 0)
+    origins = np.repeat(eye.numpy()[None], len(rays), 0)
+    means = []
+    for part in range(paths // at_once):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed + part, len(rays))
+        ray = mi.RayDifferential3f(vectors(mi.Point3f, origins), vectors(mi.Vector3f, rays))
+        seen, _, _ = integrator.sample(world, sampler, ray)
+        # Mitsuba's sampling of a narrow phase function is not a number for a path in some ten thousand.
+        means.append(torch.from_numpy(np.array(seen)).T.reshape(-1, at_once, 3).double().nanmean(1))
+    found = torch.stack(means)
+    return found.mean(0), found.std(0) / math.sqrt(len(means))
 
 
 def _meshes(mi, geometry, material, mirror):

@@ -16,7 +16,7 @@ from torchprt.errors import InputError
 from .material import Numbers, check_albedo, table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Volume:
     """A cloud, smoke, fog: cells of a regular grid, each uniform.
 
@@ -60,6 +60,12 @@ class Volume:
         if min(self.spacing) <= 0:
             raise InputError(f"{name} has no extent: its spacing is {list(self.spacing)}, give numbers above zero")
         put(self, "moments", phase_moments(phase, name))
+
+    def __repr__(self) -> str:
+        """What it is in a line, not all its numbers."""
+        cells, held = "x".join(map(str, self.shape)), int(self.occupied.sum())
+        cosine = self.moments[1] if len(self.moments) > 1 else 0.0
+        return f"Volume({self.name!r}, {cells} cells, {held} of them hold something, mean cosine {cosine:g})"
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -132,6 +132,18 @@ class Tracer:
         start, rays = self._rays(origins, frames, directions)
         return self._nearest(start, rays, (len(origins), len(directions)))
 
+    def distances(self, origins: Float[Tensor, "v 3"], hits: Hits) -> Float[Tensor, "v D"]:
+        """How far the hits are from the `origins` of their rays, in the frame of the tracer; infinity where a ray
+        escapes."""
+        found = torch.full(hits.triangle.shape, torch.inf)
+        row, column = torch.nonzero(hits.triangle >= 0, as_tuple=True)
+        u, v = hits.u[row, column], hits.v[row, column]
+        weights = torch.stack([1 - u - v, u, v], -1).double()
+        corners = self.local(self._positions[self._faces[hits.triangle[row, column].long()].long()])
+        away = (weights[..., None] * corners).sum(1) - origins[row].double()
+        found[row, column] = torch.linalg.vector_norm(away, dim=-1).to(torch.float32)
+        return found
+
     def camera(self, eye: Float[Tensor, "3"], directions: Float[Tensor, "H W 3"]) -> Hits:
         """What a pinhole camera at `eye` (world) sees along each direction (world, any length)."""
         height, width = directions.shape[:2]

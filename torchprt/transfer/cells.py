@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.transfer.grid import placed
 from torchprt.transfer.layout import REAL, WHOLE, Layout, check_indices
 from torchprt.transfer.receivers import Receivers
 
@@ -47,16 +48,8 @@ class Cells(Receivers):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.shape = [int(count) for count in self.shape]
-        self.origin, self.spacing = ([float(each) for each in values] for values in (self.origin, self.spacing))
-        if len(self.shape) != 3 or min(self.shape) < 1:
-            raise InputError(f"volume of the transfer has {self.shape} cells: give three counts of 1 or more")
-        if len(self.origin) != 3 or len(self.spacing) != 3 or not all(map(math.isfinite, self.origin + self.spacing)):
-            raise InputError(
-                "volume of the transfer stands nowhere: origin and spacing must be three finite numbers each"
-            )
-        if min(self.spacing) <= 0:
-            raise InputError(f"volume of the transfer has the spacing {self.spacing}: it must be above zero")
+        place = placed("volume", self.shape, self.origin, self.spacing, "cells", 1)
+        self.shape, self.origin, self.spacing = place
         check_indices("cells", self.cells, math.prod(self.shape))
         device = self.cells.device
         step = torch.tensor(self.spacing, dtype=torch.float64, device=device)
@@ -92,7 +85,9 @@ class Cells(Receivers):
             places = torch.zeros(1, 3, dtype=torch.float64, device=self.cells.device)
         ends = torch.stack([places.amin(0), places.amax(0) + 1])
         corners = torch.cartesian_prod(*ends.unbind(1))
-        low, step = (ends.new_tensor(each) for each in (self.origin, self.spacing))
+        step, low = (
+            torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin)
+        )
         return (low + corners * step).to(torch.float32)
 
     def dense(self, values: Float[Tensor, "*B V"]) -> Float[Tensor, "*B X Y Z"]:

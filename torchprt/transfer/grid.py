@@ -42,16 +42,8 @@ class Grid(Receivers):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.shape = [int(count) for count in self.shape]
-        self.origin, self.spacing = ([float(each) for each in values] for values in (self.origin, self.spacing))
-        if len(self.shape) != 3 or min(self.shape) < 2:
-            raise InputError(f"grid of the transfer has {self.shape} nodes: give three counts of 2 or more")
-        if len(self.origin) != 3 or len(self.spacing) != 3 or not all(map(math.isfinite, self.origin + self.spacing)):
-            raise InputError(
-                "grid of the transfer stands nowhere: origin and spacing must be three finite numbers each"
-            )
-        if min(self.spacing) <= 0:
-            raise InputError(f"grid of the transfer has the spacing {self.spacing}: it must be above zero")
+        place = placed("grid", self.shape, self.origin, self.spacing, "nodes", 2)
+        self.shape, self.origin, self.spacing = place
         self.positions = self.places()
         self.normals = torch.zeros(self.count, 3)
         self.faces = torch.zeros(0, 3, dtype=torch.int32)
@@ -78,6 +70,24 @@ class Grid(Receivers):
 
     def as_grid(self) -> Grid:
         return self
+
+
+def placed(
+    name: str, shape: Sequence[int], origin: Sequence[float], spacing: Sequence[float], pieces: str, least: int
+) -> tuple[list[int], list[float], list[float]]:
+    """Three counts of the `pieces` of a grid, its origin and spacing, as plain lists.
+
+    Raises InputError unless there are three of each, the counts not below `least`, and they are finite, spacings above
+    zero.
+    """
+    counts, corner, step = [int(count) for count in shape], list(map(float, origin)), list(map(float, spacing))
+    if len(counts) != 3 or min(counts) < least:
+        raise InputError(f"{name} of the transfer has {counts} {pieces}: give three counts of {least} or more")
+    if len(corner) != 3 or len(step) != 3 or not all(map(math.isfinite, corner + step)):
+        raise InputError(f"{name} of the transfer stands nowhere: origin and spacing must be three finite numbers each")
+    if min(step) <= 0:
+        raise InputError(f"{name} of the transfer has the spacing {step}: it must be above zero")
+    return counts, corner, step
 
 
 def grid_in(low: Sequence[float], high: Sequence[float], shape: Sequence[int], **known: Any) -> Grid:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from torch import Tensor
 
 from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
 from torchprt.files import CannotWrite, no_temporary
 from torchprt.progress import Report, Silent
-from torchprt.scene import Geometry, Points, Scene
+from torchprt.scene import Geometry, Points, Scene, Volume
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
@@ -32,6 +34,7 @@ from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import CHUNK, Runner
+from torchprt.transport.through_volume import ThroughVolume, through
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
@@ -45,6 +48,7 @@ def bake(
     bounces: Bounces = 0,
     shadows: bool = True,
     receivers: Points | None = None,
+    volume: Volume | Transfer | None = None,
     seed: int = 0,
     threads: int | None = None,
     runner: Runner | None = None,
@@ -68,6 +72,8 @@ def bake(
       closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices, of an albedo and a gloss of their own; all
       bounces but the last still run over the vertices.
+    - `volume`: what light goes through on its way to the surfaces and between them. A `Volume` casts shadow alone; the
+      transfer of `bake_volume` also sends them the light that it scatters. What surfaces send is not scattered by it.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
@@ -119,20 +125,22 @@ def bake(
         bake_glossy.check(wanted, recorded, bounces)
     elif wanted != Wanted("exit", order, "optimal", None, order):
         raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
+    between = _between(volume, geometry, order, shadows, wanted if is_glossy else None)
     if not shadows:
-        through = membranes if receivers is None else None
+        shining = membranes if receivers is None else None
         if is_glossy and (receivers is None or len(recorded.glossy)):
-            return bake_glossy.bake_unshadowed(recorded, wanted, order, through)
+            return bake_glossy.bake_unshadowed(recorded, wanted, order, shining)
         vectors = unshadowed(recorded.receiver_normals, order)
-        if through is not None:
-            vectors = through.through(vectors.T).T
+        if shining is not None:
+            vectors = shining.through(vectors.T).T
         return result.diffuse(recorded, vectors[None], transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
-    channels = scene.requires(bounces).channels
+    channels = max(scene.requires(bounces).channels, 1 if between is None else between.channels)
     everything, validity = vertex_receivers(geometry, tracer), None
     if not raw:
         geometry, everything, validity = with_sight(geometry, tracer, everything)
-    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
+    met = surfaces(geometry, between)
+    job = Job(tracer, met, everything, order, rays, seed, channels, membranes, validity, enough)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -174,6 +182,24 @@ def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int
         signal=signal,
         cut=solution.cut,
     )
+
+
+def _between(
+    volume: Volume | Transfer | None, geometry: Geometry, order: int, shadows: bool, wanted: Wanted | None
+) -> ThroughVolume | None:
+    """What light goes through, if it does. InputError if it cannot be recorded with the rest."""
+    between = through(volume, order)
+    if between is None:
+        return None
+    if not shadows:
+        raise InputError("a volume casts shadows: leave it out, or bake with shadows")
+    if len(geometry.reflectance):
+        raise InputError("light that mirrors turn is not followed through a volume: leave one of the two out")
+    if between.emission is not None and wanted is not None and wanted.frame == "visibility":
+        raise InputError(
+            "frame 'visibility' cannot hold the light of a volume: give the Volume itself, or bake matrices"
+        )
+    return between
 
 
 def check_numbers(
@@ -228,6 +254,8 @@ def store_of(
         "version": VERSION,
         **more,
     }
+    if job.surfaces.volume is not None:
+        contents += job.surfaces.volume.contents()
     if wanted is not None:
         parameters["glossy"] = repr(wanted)
         # The values, not the text: tables have no text of their own.
@@ -241,6 +269,13 @@ def store_of(
         contents += [geometry.albedo, geometry.specular, geometry.translucency]
         parameters["bounces"] = bounces
         parameters["enough"] = job.enough
+    with kept_in(folder, contents, parameters) as store:
+        yield store
+
+
+@contextlib.contextmanager
+def kept_in(folder: Path | None, contents: Sequence[Tensor], parameters: dict[str, Any]) -> Iterator[Checkpoint]:
+    """A checkpoint of what `contents` and `parameters` decide, in a folder or a temporary one."""
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:
         yield store

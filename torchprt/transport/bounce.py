@@ -13,6 +13,7 @@ from torchprt.trace import Hits, Mirrors, Tracer
 from torchprt.transport.diffuse import cosine_weights, to_world
 from torchprt.transport.mirrors import by_way_of_mirrors
 from torchprt.transport.receivers import Receivers
+from torchprt.transport.through_volume import ThroughVolume
 
 
 @dataclass
@@ -48,16 +49,23 @@ class Gather:
 @dataclass
 class Surfaces:
     """Which receivers reflect at the corners of every triangle: `front [F, 3]` and `back [F, 3]`, -1 where that side
-    reflects nothing (a blocker, or the back of a one-sided material). `mirrors`: the faces that are mirrors, if any."""
+    reflects nothing (a blocker, or the back of a one-sided material). `mirrors`: the faces that are mirrors, if any;
+    `volume`: what light goes through on its way from one to another, if anything."""
 
     front: Int[Tensor, "F 3"]
     back: Int[Tensor, "F 3"]
     mirrors: Mirrors | None = None
+    volume: ThroughVolume | None = None
 
     @property
     def channels(self) -> int:
-        """Of direct light: 3 if it may come by way of coloured mirrors."""
-        return 1 if self.mirrors is None else self.mirrors.channels
+        """Of direct light: 3 if it may come by way of coloured mirrors or cells."""
+        return max(1 if each is None else each.channels for each in (self.mirrors, self.volume))
+
+    @property
+    def sent(self) -> bool:
+        """Whether direct light needs more than what is visible: it comes by way of mirrors, or from cells."""
+        return self.mirrors is not None or (self.volume is not None and self.volume.emission is not None)
 
 
 def shadowed_with_hits(
@@ -76,25 +84,29 @@ def shadowed_with_hits(
     rays = directions.to(torch.float32)
     weights = cosine_weights(directions).to(torch.float32)
     local = torch.empty(len(project), len(receivers), dtype=torch.float32)
-    by_mirrors = torch.zeros(surfaces.channels if surfaces.mirrors else 0, len(project), len(receivers))
+    more = torch.zeros(surfaces.channels if surfaces.sent else 0, len(project), len(receivers))
     lost = torch.zeros(len(receivers))
     parts: list[tuple[Tensor, Tensor, Tensor]] = []
     for rows in receivers.blocks(len(rays)):
         hits = tracer.hits(receivers.origins[rows], turned[rows], rays)
         lit = receivers.normals[rows].abs().sum(-1) > 0
-        escaped, share = hits.triangle < 0, None
+        visible, share = (hits.triangle < 0).to(torch.float32), None
         if surfaces.mirrors is not None:
             seen = by_way_of_mirrors(tracer, surfaces.mirrors, hits, turned[rows], rays)
-            by_mirrors[..., rows] = seen.direct(weights, math.isqrt(len(project)), len(lit)) * lit
+            more[..., rows] = seen.direct(weights, math.isqrt(len(project)), len(lit)) * lit
             lost[rows] = seen.lost(weights, len(lit)) * lit
             hits, share = seen.hits, seen.shares(len(lit), len(rays))
-        local[:, rows] = project @ escaped.to(torch.float32).T
+        if surfaces.volume is not None:
+            through = surfaces.volume.seen(tracer, receivers.origins[rows], turned[rows], rays, hits, weights)
+            visible, share = visible * through.left, through.left[..., None]
+            more[..., rows] = through.direct() * lit
+        local[:, rows] = project @ visible.T
         parts.append(_entries(hits, surfaces, weights, lit, share))
     counts, sources, values = (torch.cat(part) for part in zip(*parts, strict=True))
     offsets = torch.zeros(len(receivers) + 1, dtype=torch.int32)
     offsets[1:] = torch.cumsum(counts, 0)
     direct = to_world(local, turned, receivers.normals)[None]
-    return direct + by_mirrors if surfaces.mirrors else direct, Gather(offsets, sources, values), lost
+    return direct + more if surfaces.sent else direct, Gather(offsets, sources, values), lost
 
 
 def _entries(

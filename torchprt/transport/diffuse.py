@@ -11,6 +11,7 @@ from torch import Tensor
 from torchprt.sh import basis, clamped_cosine, rotate
 from torchprt.trace import Tracer
 from torchprt.transport.receivers import Receivers
+from torchprt.transport.through_volume import ThroughVolume
 
 
 def unshadowed(normals: Float[Tensor, "V 3"], order: int) -> Float[Tensor, "N V"]:
@@ -43,9 +44,14 @@ def projection(directions: Float[Tensor, "D 3"], order: int) -> Float[Tensor, "N
 
 
 def shadowed(
-    tracer: Tracer, receivers: Receivers, directions: Float[Tensor, "D 3"], project: Float[Tensor, "N D"]
+    tracer: Tracer,
+    receivers: Receivers,
+    directions: Float[Tensor, "D 3"],
+    project: Float[Tensor, "N D"],
+    volume: ThroughVolume | None = None,
 ) -> Float[Tensor, "N v"]:
-    """Transfer vectors `(1/pi) int H_N V y_i` of a chunk of receivers, world frame, float32.
+    """Transfer vectors `(1/pi) int H_N V y_i` of a chunk of receivers, world frame, float32; V is what is left of the
+    light of visible directions if it comes through a volume.
 
     A pure function of its arguments: the same bits wherever and beside whatever it runs.
     Source: Sloan, Kautz and Snyder 2002, section 5, shadow pass.
@@ -57,7 +63,10 @@ def shadowed(
     local = torch.empty(len(project), len(receivers), dtype=torch.float32)
     for rows in receivers.blocks(len(rays)):
         answers = tracer.visibility(receivers.origins[rows], turned[rows], rays)
-        local[:, rows] = escapes @ answers.to(torch.float32).T
+        visible = answers.to(torch.float32)
+        if volume is not None:
+            visible = visible * volume.left(tracer, receivers.origins[rows], turned[rows], rays, answers != 0)
+        local[:, rows] = escapes @ visible.T
     return to_world(local, turned, receivers.normals)
 
 

@@ -70,7 +70,7 @@ class TracingTask(Task):
 
 @dataclass(frozen=True)
 class Trace(TracingTask):
-    """Shadowed "transfer" `[A, N, v]`, A = 3 if some of it came by way of coloured mirrors; what was "cut" off among
+    """Shadowed "transfer" `[A, N, v]`, A = 3 if some of it came by way of coloured mirrors or cells; what was "cut" off among
     mirrors, if there are any, `[v]`; with `keep_hits` also the fields of `Gather`, for bounces."""
 
     keep_hits: bool = False
@@ -79,8 +79,8 @@ class Trace(TracingTask):
     def compute(self, job: Job) -> dict[str, Tensor]:
         some = job.receivers[self.index]
         directions, project = job.directions(self.rays, self.seed)
-        if not self.keep_hits and job.surfaces.mirrors is None:
-            return {"transfer": shadowed(job.tracer, some, directions, project)[None]}
+        if not self.keep_hits and not job.surfaces.sent:
+            return {"transfer": shadowed(job.tracer, some, directions, project, job.surfaces.volume)[None]}
         direct, gather, cut = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
         found = {"transfer": direct} if job.surfaces.mirrors is None else {"transfer": direct, "cut": cut}
         return found | vars(gather) if self.keep_hits else found
@@ -93,8 +93,9 @@ class Record(TracingTask):
     def compute(self, job: Job, exitant: Float[Tensor, "V W"] | None) -> dict[str, Tensor]:
         some = job.receivers[self.index]
         directions, project = job.directions(self.rays, self.seed)
-        if exitant is None and job.surfaces.mirrors is None:
-            return {"transfer": shadowed(job.tracer, some, directions, project).expand(job.channels, -1, -1)}
+        if exitant is None and not job.surfaces.sent:
+            direct = shadowed(job.tracer, some, directions, project, job.surfaces.volume)
+            return {"transfer": direct.expand(job.channels, -1, -1)}
         direct, gather, _ = shadowed_with_hits(job.tracer, job.surfaces, some, directions, project)
         if exitant is None:
             return {"transfer": direct.expand(job.channels, -1, -1)}

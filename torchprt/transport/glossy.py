@@ -18,6 +18,7 @@ from torchprt.transport.diffuse import cosine_weights, projection, to_world
 from torchprt.transport.mirrors import ByMirrors, by_way_of_mirrors
 from torchprt.transport.receivers import Receivers, tangent_frames
 from torchprt.transport.rows import Recording, Rows
+from torchprt.transport.through_volume import Seen
 
 # Hits shaded at a time: the functions of the eye at their corners stay in a core's cache.
 _HITS = 1 << 13
@@ -75,8 +76,8 @@ class Arrivals:
     """Rays of a chunk that hit a surface which reflects: how many a receiver has (`counts [v]`), and of each its
     direction `column [E]`, `triangle [E]`, barycentrics `u`, `v`, and side.
 
-    Where some came by way of mirrors also what is left of each, `share [E, A]`, and its last leg in the world, `leg
-    [E, 3]`; else these have no rows.
+    Where some came by way of mirrors or through a volume also what is left of each, `share [E, A]`; where by way of
+    mirrors its last leg in the world, `leg [E, 3]`. Else these have no rows.
     """
 
     counts: Int[Tensor, "v"]
@@ -124,26 +125,36 @@ def shadowed(
     matrices: list[list[Tensor]] = [[] for _ in sets]
     arrivals: list[Arrivals] = []
     mirrors, order = surfaces.mirrors, math.isqrt(len(set_of.project))
-    by_mirrors = torch.zeros(surfaces.channels, len(set_of.project), len(receivers))
+    more_direct = torch.zeros(surfaces.channels, len(set_of.project), len(receivers))
     lost = torch.zeros(len(receivers))
     for rows in receivers.blocks(len(set_of.directions)):
         lit = receivers.normals[rows].abs().sum(-1) > 0
+        here = turned[rows]
         seen: ByMirrors | None = None
-        if keep_hits or mirrors is not None:
+        through: Seen | None = None
+        if keep_hits or surfaces.sent:
             hits = tracer.hits(receivers.origins[rows], turned[rows], set_of.directions)
             visible = (hits.triangle < 0).to(torch.float32)
             if mirrors is not None:
                 seen = by_way_of_mirrors(tracer, mirrors, hits, turned[rows], set_of.directions)
-                by_mirrors[..., rows] = seen.direct(set_of.cosine, order, len(lit)) * lit
+                more_direct[..., rows] = seen.direct(set_of.cosine, order, len(lit)) * lit
                 lost[rows] = seen.lost(set_of.cosine, len(lit)) * lit
+            if surfaces.volume is not None:
+                shiny = bool((material[rows] >= 0).any())
+                through = surfaces.volume.seen(
+                    tracer, receivers.origins[rows], here, set_of.directions, hits, set_of.cosine, along_rays=shiny
+                )
+                visible = visible * through.left
+                more_direct[..., rows] = through.direct() * lit
             if keep_hits:
-                arrivals.append(reflecting(hits, surfaces, lit, turned[rows], set_of.directions, seen))
+                arrivals.append(reflecting(hits, surfaces, lit, here, set_of.directions, seen, through))
         else:
             answers = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
             visible = -answers.to(torch.float32)
+            if surfaces.volume is not None:
+                visible *= surfaces.volume.left(tracer, receivers.origins[rows], here, set_of.directions, answers != 0)
         local[:, rows] = set_of.project @ visible.T
-        here = turned[rows]
-        mirrored: Tensor | None = None
+        mirrored: Tensor | None = None if through is None else through.radiance
         if seen is not None and len(seen.row):
             mirrored = seen.radiance(order, len(lit), len(set_of.directions))
         for each, found in zip(sets, matrices, strict=True):
@@ -154,14 +165,14 @@ def shadowed(
     dark = receivers.normals[material >= 0].abs().sum(-1) == 0
     joined = [_joined(found).masked_fill_(dark[:, None, None], 0) for found in matrices]
     direct = to_world(local, turned, receivers.normals)[None]
-    direct = direct if mirrors is None else direct + by_mirrors
+    direct = direct + more_direct if surfaces.sent else direct
     return direct, joined, _join(arrivals) if keep_hits else None, lost
 
 
 def _direct(
     of: Rows, visible: Tensor, turned: Tensor, which: Tensor, mirrored: Tensor | None, channels: int
 ) -> Float[Tensor, "g R W"]:
-    """Matrices of what comes straight and by way of mirrors."""
+    """Matrices of what comes straight, and by way of mirrors or from cells."""
     matrix = of.shadowed(visible[which], turned[which])
     matrix = matrix if channels == 1 else matrix.repeat(1, 1, channels)
     return matrix if mirrored is None else matrix + of.table @ mirrored[which]
@@ -193,11 +204,13 @@ def gathered(
         radiance = torch.zeros(rows.stop - rows.start, len(set_of.directions), width)
         if surfaces.mirrors is None:
             toward = -(set_of.directions[column][:, None] @ turned[rows][row])[:, 0]
-            radiance[row, column] = exit_radiance_at(arrivals, part, toward, exitant, everything, surfaces)
         else:
-            found = exit_radiance_at(arrivals, part, -arrivals.leg[part], exitant, everything, surfaces)
+            toward = -arrivals.leg[part]
+        found = exit_radiance_at(arrivals, part, toward, exitant, everything, surfaces)
+        if surfaces.mirrors is not None or surfaces.volume is not None:
             share = arrivals.share[part]
-            radiance[row, column] = (found.unflatten(1, (share.shape[1], -1)) * share[..., None]).flatten(1)
+            found = (found.unflatten(1, (share.shape[1], -1)) * share[..., None]).flatten(1)
+        radiance[row, column] = found
         diffuse[rows] = (set_of.cosine @ radiance.movedim(1, 0).flatten(1)).view(-1, width)
         parts = _by_material(set_of.rows, material[rows])
         matrices += _in_order([(which, of.table @ radiance[which]) for of, which in parts])
@@ -223,9 +236,16 @@ def _in_order(parts: list[tuple[Tensor, Tensor]]) -> list[Tensor]:
 
 
 def reflecting(
-    hits: Hits, surfaces: Surfaces, lit: Tensor, turned: Tensor, directions: Tensor, seen: ByMirrors | None
+    hits: Hits,
+    surfaces: Surfaces,
+    lit: Tensor,
+    turned: Tensor,
+    directions: Tensor,
+    seen: ByMirrors | None,
+    through: Seen | None = None,
 ) -> Arrivals:
-    """Of the rays of a block those that end on a surface which reflects, by way of mirrors if `seen` is given."""
+    """Of the rays of a block those that end on a surface which reflects, by way of mirrors if `seen` is given, through
+    a volume if that is."""
     hits = hits if seen is None else seen.hits
     reflects = ((surfaces.front >= 0).any(-1), (surfaces.back >= 0).any(-1))
     triangle = hits.triangle.clamp(min=0).long()
@@ -235,6 +255,8 @@ def reflecting(
     if seen is not None:
         share = seen.shares(len(lit), len(directions))[row, column]
         leg = seen.toward(directions @ turned)[row, column]
+    if through is not None:
+        share = through.left[row, column][:, None]
     return Arrivals(
         torch.bincount(row, minlength=len(lit)).to(torch.int32),
         column.to(torch.int32),

@@ -17,6 +17,7 @@ from torchprt.transport.mirrors import mean_cut, mirrors_of
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import chunks
+from torchprt.transport.through_volume import ThroughVolume
 
 
 @dataclass
@@ -32,10 +33,10 @@ class Solution:
     cut: float | None = None
 
 
-def surfaces(geometry: Geometry) -> Surfaces:
-    """Which receivers reflect at the corners of the faces of a scene."""
+def surfaces(geometry: Geometry, volume: ThroughVolume | None = None) -> Surfaces:
+    """Which receivers reflect at the corners of the faces of a scene, and what light goes through between them."""
     front, back = geometry.receiver_of_vertex, geometry.back_receiver_of_vertex
-    return Surfaces(front[geometry.faces], back[geometry.faces], mirrors_of(geometry))
+    return Surfaces(front[geometry.faces], back[geometry.faces], mirrors_of(geometry), volume)
 
 
 def vertex_receivers(geometry: Geometry, tracer: Tracer) -> Receivers:

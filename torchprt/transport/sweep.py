@@ -9,7 +9,7 @@ from torch import Tensor
 from torchprt.transport.tracks import Medium, Slices, Tracks
 
 Cuts = dict[int, Int[Tensor, "E"]]
-"""Tracks that end on a surface before a slice is met, by when that is."""
+"""Tracks that end on a surface, by the part of the way before which they do: three of each slice that is met."""
 
 
 def attenuated(
@@ -22,9 +22,9 @@ def attenuated(
     found = torch.zeros(len(along), len(slices.order))
     before = -1
     for step, rows in along.met(slices):
-        before = _cut(light, cuts, before, step)
         sent = found[:, rows]
         for part in range(3):
+            before = _cut(light, cuts, before, 3 * step + part)
             taken = along.taken(medium, slices, rows, step, part)
             number = along.numbers(slices, rows, step, part).flatten()
             here = light.index_select(0, number)
@@ -55,11 +55,11 @@ def scattered(
     total = weights.sum(1)
     before = -1
     for step, rows in along.met(slices):
-        before = _cut(light, cuts, before, step)
         cells = emission[:, rows]
         sent = cells if toward is None else (toward @ cells.flatten(1)).view(count, -1, columns)
         gained = torch.zeros(count, rows.stop - rows.start, columns)
         for part in range(3):
+            before = _cut(light, cuts, before, 3 * step + part)
             taken = along.taken(medium, slices, rows, step, part)[..., None]
             number = along.numbers(slices, rows, step, part).flatten()
             here = light.index_select(0, number).view_as(gained)
@@ -75,10 +75,10 @@ def scattered(
             arriving[:, rows] += (weights @ sent.flatten(1) - kept).view(len(weights), -1, columns)
 
 
-def _cut(light: Tensor, cuts: Cuts, before: int, step: int) -> int:
+def _cut(light: Tensor, cuts: Cuts, before: int, now: int) -> int:
     """Surfaces that were met since are black."""
     if cuts:
-        for number in range(before + 1, step + 1):
+        for number in range(before + 1, now + 1):
             if number in cuts:
                 light.index_fill_(0, cuts[number], 0.0)
-    return step
+    return now

@@ -33,7 +33,7 @@ class Blockers:
         return torch.cat(escapes)
 
     def cuts(self, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Cuts:
-        """Where tracks end on surfaces: at the border between slices that is nearest. Another begins there, dark."""
+        """Where tracks end on surfaces: at the nearest border of a cell on its way. Another begins there, dark."""
         depth = len(slices.starts) - 1
         found: dict[int, list[Tensor]] = {}
         for number, (start, direction) in enumerate(zip(self._starts(slices, along), directions, strict=True)):
@@ -46,13 +46,17 @@ class Blockers:
                 u, v = hits.u[met, 0].double(), hits.v[met, 0].double()
                 place = (corners * torch.stack([1 - u - v, u, v], -1)[..., None]).sum(1)
                 step = (place[:, slices.axis] - self.corner[slices.axis]) / self.spacing[slices.axis]
-                step = (depth - step if along.backward else step).round().long().clamp(min=0)
+                step = (depth - step if along.backward else step).clamp(min=0)
                 within = step < depth
                 track, place, step = track[met][within], place[within], step[within]
                 if not len(track):
                     break
-                for each in step.unique().tolist():
-                    found.setdefault(each, []).append(track[step == each] + number * along.count)
+                slice_number = step.floor().long()
+                borders = torch.nn.functional.pad(along.parts[number, slice_number].cumsum(-1), (1, 0))
+                nearest = (borders - (step - slice_number)[:, None]).abs().argmin(-1)
+                event = 3 * slice_number + nearest
+                for each in event.unique().tolist():
+                    found.setdefault(each, []).append(track[event == each] + number * along.count)
         return {step: torch.cat(parts) for step, parts in found.items()}
 
     def _starts(self, slices: Slices, along: Tracks) -> Float[Tensor, "D T 3"]:

@@ -13,15 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
-from torchprt.files import CannotWrite, no_temporary
 from torchprt.progress import Report, Silent
 from torchprt.scene import Object, Scene, Volume
 from torchprt.scene.geometry import gather
 from torchprt.trace import Tracer
 from torchprt.transfer import Cells, Dense, Diffuse, Layer, Phase, Transfer
-from torchprt.transport.bake import check_numbers
+from torchprt.transport.bake import check_numbers, kept_in
 from torchprt.transport.bounces import SPENT, UNSEEN, Bounces
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.passes import State, counted, endless
@@ -34,11 +32,14 @@ from torchprt.transport.volume_tasks import BOTH, GROUPS, Enter, Inside, Scatter
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
-THICK = 1.0
+NARROW = 0.8
+"""Moment of the first band of a phase function that is left out, above which that is warned of: with .77 radiance of a
+cloud under a light of order 5 still agreed with a path tracer within 2 %."""
+THICK = 2.0
 """Optical depth of a cell above which the coarseness of the grid is warned of."""
 # What the cells send varies less with the direction than the light does.
 _FEWER = 16
-_FEWEST = 64
+_FEWEST, _A_ROW = 64, 8
 
 
 class VolumeWarning(UserWarning):
@@ -68,7 +69,7 @@ def bake_volume(
     - `order` of the light; `output_order` of what arrives in a cell (that of the light by default, no larger), which a
       phase function needs.
     - `rays`: directions that all cells are swept along, for the light; what cells send to each other is swept along a
-      sixteenth of them.
+      sixteenth of them, but no fewer than 64 and eight a row.
     - `bounces`: how often what was scattered is scattered again: 0, a count, `math.inf` until a pass adds less than
       1e-4 of the transfer (RMS), or "auto", 1e-2. Without end they are not made one by one, see `passes.endless`;
       `bounces` of the result is how many there were.
@@ -134,7 +135,7 @@ def _moments(volume: Volume, order: int, output_order: int | None) -> tuple[floa
         return (1.0,)
     kept = volume.moments[: output_order or order]
     left = max(map(abs, volume.moments[len(kept) :]), default=0.0)
-    if left > 0.3:
+    if left > NARROW:
         warnings.warn(
             f"{volume.name} scatters more narrowly than {len(kept)} bands can say: the next band of its phase function "
             f"has the moment {left:.2f}; give a larger order, or a phase function that is wider",
@@ -210,7 +211,7 @@ def _solved(
         return direct.repeat(1, 1, channels), 0, difference
     direct, difference = direct.repeat(1, 1, channels), difference.repeat(1, 1, channels)
     factors = albedo.expand(-1, channels).repeat_interleave(inside.order**2, 1)
-    rays = max(_FEWEST, inside.rays // _FEWER)
+    rays = max(_FEWEST, _A_ROW * inside.rows, inside.rays // _FEWER)
     tasks = [
         Scatter(slice(first, first + inside.order**2), group, rays, BOTH)
         for first in range(0, direct.shape[2], inside.order**2)
@@ -227,13 +228,13 @@ def _solved(
 
     state = _latest(stages)
     if isinstance(bounces, int) or bounces not in (math.inf, "auto"):
-        state = counted(direct, once, int(bounces), state, kept)
-        return state.arrived, state.count, difference
-    enough = UNSEEN if bounces == "auto" else SPENT
-    # Per unit of volume, which all cells have alike.
-    weight = inside.medium.extinction.double()[:, None] * factors.double()
-    state = endless(direct, once, weight, enough, state, kept)
-    # One more pass puts what solving has left where it belongs, and its halves tell the error of the directions.
+        state = counted(direct, once, int(bounces) - 1, state, kept)
+    else:
+        # Per unit of volume, which all cells have alike.
+        weight = (inside.medium.extinction.double()[:, None] * factors.double())[None]
+        state = endless(direct, once, weight, UNSEEN if bounces == "auto" else SPENT, state, kept)
+    # The sum of all passes is one more from the sum of all but the last, also where they were not made one by one; and
+    # its halves tell the error of the directions.
     last = [once(state.count + 1, state.arrived, half) for half in (0, 1)]
     return direct + (last[0] + last[1]) / 2, state.count + 1, difference + last[1] - last[0]
 
@@ -282,12 +283,5 @@ def _store(folder: Path | None, inside: Inside, albedo: Tensor, bounces: Bounces
         contents += [inside.blockers.tracer.corners(), inside.blockers.corner, inside.blockers.spacing]
     parameters: dict[str, object] = {"order": inside.order, "rays": inside.rays, "seed": inside.seed}
     parameters |= {"bounces": str(bounces), "version": VERSION}
-    store = Checkpoint(folder, fingerprint(contents, parameters))
-    try:
+    with kept_in(folder, contents, parameters) as store:
         yield store
-    except CannotWrite as fault:
-        if folder is not None:
-            raise
-        raise no_temporary(fault.reason) from fault
-    finally:
-        store.close()

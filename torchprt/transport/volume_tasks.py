@@ -48,8 +48,8 @@ def direction_set(count: int, seed: int, half: int, degree: int) -> Directions:
     offsets = torch.frac((number + 0.5)[:, None] * torch.tensor([0.7548776662466927, 0.5698402909980532]).double())
     chosen = slice(None) if half == BOTH else slice(half, None, 2)
     above, offsets = hemisphere(pairs, seed)[chosen], offsets[chosen]
-    # Odd harmonics vanish over pairs; a third as many conditions as pairs leave the weights near to equal.
-    even = [band for band in range(0, degree + 1, 2) if (band + 1) * (band + 2) / 2 <= max(1, len(above) / 3)]
+    # Odd harmonics vanish over pairs; half as many conditions as pairs leave the weights near to equal.
+    even = [band for band in range(0, degree + 1, 2) if (band + 1) * (band + 2) / 2 <= max(1, len(above) / 2)]
     rows = torch.cat([torch.arange(band * band, (band + 1) ** 2) for band in even])
     table = basis(above, even[-1] + 1).T[rows]
     equal = torch.full((len(above),), 4 * math.pi / len(above), dtype=torch.float64)
