@@ -9,17 +9,20 @@ from shapes import square
 from volumes import cells_of, puff, random_volume, seeing_all
 
 from torchprt import light
-from torchprt.compression import compress
+from torchprt.compression import compress, reorder
 from torchprt.errors import InputError
 from torchprt.preview import (
     Camera,
     Environment,
     Orbit,
+    Session,
     Studio,
     VolumeSession,
     VolumeStudio,
     frame,
     look,
+    save_lit_glb,
+    save_transfer_glb,
     session_of,
     studio_of,
 )
@@ -73,6 +76,20 @@ def test_refuses_what_has_no_meaning(cloud):
     mirrors = place.replace(**parts, mirror_reflectance=torch.ones(len(place.positions), 3))
     with pytest.raises(InputError, match="in mirrors"):
         VolumeStudio(cloud, environment(), surface=dataclasses.replace(silvered, receivers=mirrors))
+
+
+def test_what_is_for_meshes_says_so(cloud, tmp_path):
+    with pytest.raises(InputError, match="VolumeStudio"):
+        Studio(cloud, shader(cloud), environment()).picture(frame(cloud.positions), EYE)
+    with pytest.raises(InputError, match="VolumeSession"):
+        Session({"cloud": cloud}, [environment()])
+    with pytest.raises(InputError, match="no surface"):
+        save_lit_glb(cloud, torch.zeros(cloud.vertices, 3), tmp_path / "a.glb")
+    with pytest.raises(InputError, match="no vertices"):
+        save_transfer_glb(cloud, tmp_path / "a.glb")
+    with pytest.raises(InputError, match="no triangles"):
+        reorder(compress(cloud, clusters=2, components=1))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_still_is_the_picture_of_the_shader(cloud):

@@ -119,6 +119,8 @@ class Session:
                     f"{name} has {bake.vertices} vertices and {len(bake.faces)} faces, {first_name} {first.vertices} "
                     f"and {len(first.faces)}: give bakes of one mesh"
                 )
+        if not first.receivers.on_surface:
+            raise InputError(f"{first_name} is a volume: use preview.VolumeSession, or session_of")
         if len(first.faces) == 0:
             raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
         return first.positions.double(), first.faces.long()
