@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from torchprt.errors import InputError
 from torchprt.preview.asset import UNLIT, Primitive, add_others, keep, numbers
 from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, find_asset
