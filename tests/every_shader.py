@@ -19,13 +19,12 @@ def every_transfer(dtype=torch.float32):
             dense = random_glossy(kind, vertices=12, glossy=9, channels=channels, dtype=dtype)
             made[f"{kind} dense {channels}"] = dense
             made[f"{kind} clustered {channels}"] = compress(dense, clusters=2, components=2)
-        dense = random_volume("phase", channels=channels, dtype=dtype)
-        made[f"phase dense {channels}"] = dense
-        made[f"phase clustered {channels}"] = compress(dense, clusters=2, components=2)
         made[f"diffuse zonal {channels}"] = random_zonal(channels=channels, dtype=dtype)
         made[f"factored zonal {channels}"] = random_zonal_factored(channels=channels, dtype=dtype)
         made[f"exit zonal {channels}"] = _in_lobes(Exit, channels, dtype, output_order=2)
         made[f"incident zonal {channels}"] = _in_lobes(Incident, channels, dtype)
+    made["phase dense 1"] = random_volume("phase", dtype=dtype)
+    made["phase clustered 3"] = compress(random_volume("phase", channels=3, dtype=dtype), clusters=2, components=2)
     return made
 
 

@@ -10,10 +10,11 @@ import torch
 from environments import lamp, save_exr
 from screen import Opened, Screen, missing
 from shapes import square
+from volumes import puff, seeing_all
 from zonal_transfers import random_zonal
 
 import torchprt as prt
-from torchprt.preview import Orbit, Still, automatic_exposure
+from torchprt.preview import Environment, Orbit, Still, VolumeStudio, automatic_exposure
 from torchprt.scene import Material, Object, Scene, make_mesh
 from torchprt.shade import display, shader
 from torchprt.transport import bake
@@ -258,3 +259,25 @@ def test_space_moves_the_model_and_stops_it_and_escape_closes_the_window(screen,
         window.close()
     assert code == 0
     assert "Traceback" not in complaints
+
+
+def test_a_volume_is_the_still_of_the_same_camera_and_turns_with_the_mouse(screen, files, tmp_path):
+    cloud = seeing_all(puff(12), 0.7, 4)
+    file = tmp_path / "cloud.safetensors"
+    prt.save_transfer(cloud, file)
+    light = prt.light.project(prt.light.read(files / "left.exr"), 4)
+    opened = Opened(screen, tmp_path, file, "--light", files / "left.exr", "--size", "480x400")
+    try:
+        shown = opened.settled()
+        camera = Orbit.around(cloud.receivers.subject).camera()
+        studio = VolumeStudio(cloud, Environment("left", light), size=SIZE, samples=1, background=(0.27, 0.27, 0.27))
+        wanted = (studio.picture(camera, torch.eye(3)) * 255).numpy()
+        apart = np.abs(rest(shown) - rest(wanted)).max(-1)
+        assert silhouette(wanted).sum() > 5000
+        assert np.median(apart[silhouette(wanted)]) <= 1
+        # Colours are interpolated between rays two pixels apart.
+        assert (apart > 6).mean() < 0.01
+        assert change(shown, opened.drag(100, 0)) > 0.5
+        opened.press("q")
+    finally:
+        opened.close()

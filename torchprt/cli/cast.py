@@ -100,7 +100,7 @@ def cast(
         baked,
         onto,
         picture.environment(baked.order),
-        model=None if model is None else load(model),
+        model=None if model is None else _model(model),
         albedo=0.5 if albedo is None else options.colour(albedo, "--albedo"),
         camera=preview.frame(
             onto.positions,
@@ -135,6 +135,14 @@ def keys_of(text: str) -> Tensor:
     return torch.tensor([each + [0.0] * (6 - len(each)) for each in found], dtype=torch.float64)
 
 
+def _model(path: Path) -> Transfer:
+    from torchprt.transfer import load
+
+    found = load(path)
+    options.surface_of(found, "--model", path, "give a bake of a mesh")
+    return found
+
+
 def _receiver(path: Path, albedo: str | None) -> Mesh | Transfer:
     if path.suffix.lower() != ".safetensors":
         from torchprt.scene import read_mesh
@@ -145,6 +153,7 @@ def _receiver(path: Path, albedo: str | None) -> Mesh | Transfer:
     from torchprt.transfer import load
 
     found = load(path)
+    options.surface_of(found, "a shadow", path, "give a mesh or a bake of one")
     if "reflectance" in found.needs or "receivers" in found.needs:
         raise InputError(f"{path} holds {found.kind} transfer, which is not shaded here: give a bake of a surface")
     return found

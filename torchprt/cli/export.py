@@ -28,8 +28,21 @@ def export(
         str | None, typer.Option("--from", help="What the graph takes: light or environment.", show_default="light")
     ] = None,
     size: Annotated[
-        int | None, typer.Option(help="Texels along an edge of the environment's cube map.", show_default="32")
+        str | None,
+        typer.Option(
+            help="Texels along an edge of the environment's cube map; of a volume WIDTHxHEIGHT of its picture.",
+            show_default="32, 128x128",
+        ),
     ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Volume: the point X,Y,Z that cameras look at.", show_default="its middle")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="Volume: angle of view from top to bottom, in degrees.", show_default="35")
+    ] = None,
+    cells: Annotated[
+        bool, typer.Option("--cells", help="Volume: what its cells send, in place of its picture.")
+    ] = False,
     eye: Annotated[
         str | None, typer.Option(help="Gloss: the eye is a point or a direction.", show_default="point")
     ] = None,
@@ -80,8 +93,16 @@ def export(
     import torchprt as prt
 
     ends = output.suffix.lower()
-    graph = {"--from": source, "--size": size, "--eye": eye, "--fix-eye": fix_eye, "--fix-light": fix_light}
+    graph: dict[str, Any] = {
+        "--from": source,
+        "--size": size,
+        "--eye": eye,
+        "--fix-eye": fix_eye,
+        "--fix-light": fix_light,
+    }
     graph |= {"--pose": pose, "--local": local or None}
+    seen = {"--target": target, "--fov": fov, "--cells": cells or None}
+    graph |= seen
     mesh = {"--order": order, "--source": asset}
     page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
     page |= {"--cast": cast, "--model": model, "--path": path}
@@ -113,6 +134,19 @@ def export(
     if "receivers" in loaded.needs and not web and ends == ".onnx":
         _refuse(graph, "the graph of a neighbourhood")
         return _told(prt.onnx.export_neighbourhood(loaded, output))
+    if not loaded.receivers.on_surface:
+        if ends == ".glb":
+            options.surface_of(loaded, ".glb", transfer, "write .onnx or, with --web, a page")
+        if not web and not cells:
+            others = {name: value for name, value in graph.items() if name not in (*seen, "--size")}
+            _refuse(others, "a volume's picture")
+            shape = (128, 128) if size is None else options.size(size)
+            place = None if target is None else options.numbers(target, 3, "--target")
+            return _told(
+                prt.onnx.export_volume(loaded, output, size=shape, field=35.0 if fov is None else fov, target=place)
+            )
+        seen.pop("--cells")
+    _refuse(seen, "what is no picture of a volume")
     if only:
         loaded = loaded.only(*only)
     if with_ground and not web and ends == ".onnx":
@@ -128,7 +162,7 @@ def export(
     if ends == ".glb":
         return _export_mesh(loaded, output, order, asset, transfer.parent)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)
-    texels = 32 if size is None else size
+    texels = 32 if size is None else options.whole(size, "--size")
     report = prt.onnx.export(
         loaded, output, source=start, size=texels, eye=kind, fix_eye=place, fix_light=lamps, pose=taken, local=local
     )

@@ -105,10 +105,10 @@ def gloss(text: str) -> Brdf:
     return read.brdf
 
 
-def surface_of(transfer: Transfer, option: str, file: Path) -> None:
+def surface_of(transfer: Transfer, option: str, file: Path, instead: str = "leave it out") -> None:
     """InputError if `transfer` is of a volume, for which an option, or a command, has no meaning."""
     if not transfer.receivers.on_surface:
-        raise InputError(f"{option} is about a surface, and {file} is a volume, which has none")
+        raise InputError(f"{option} is for surfaces, and {file} is a volume, which has none: {instead}")
 
 
 def gloss_of(transfer: Transfer, material: str | None) -> Any:
@@ -140,6 +140,12 @@ def factors(text: str | None) -> int | float | None:
     if not 0 < error < 1:
         raise InputError(f"--factors is '{text}': give how many, as 4, or the error they may leave, as 0.05")
     return error
+
+
+def whole(text: str, option: str) -> int:
+    if not (text.isdecimal() and text.isascii()):
+        raise InputError(f"{option} is '{text}': give a whole number")
+    return int(text)
 
 
 def size(text: str) -> tuple[int, int]:

@@ -45,7 +45,7 @@ def preview(
     highest = max(transfer.order for transfer in opened.values())
     lights = [environment_of(each, highest, repair) for each in light or BUILT_IN]
     moves = None if poses is None else options.positions(poses)
-    session = preview.Session(opened, lights, brdf=chosen, tone=preview.tone_map(tone), poses=moves)
+    session = preview.session_of(opened, lights, brdf=chosen, tone=preview.tone_map(tone), poses=moves)
     preview.show(session, size=shape, name=f"torchprt {bakes[0].stem}", say=say)
 
 

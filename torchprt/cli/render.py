@@ -136,10 +136,11 @@ def render(
         raise InputError("--emitter is given, but a patch is lit by one light from far away: leave it or --on out")
     environment = picture.environment(opened.order, bool(lamps) and light is None)
     loaded = opened.transfer()
-    if lamps and (volume is not None or not loaded.receivers.on_surface):
-        raise InputError("--emitter is given, but a volume is lit by one light from far away: leave it out")
-    if show != SHOWN[0]:
-        options.surface_of(loaded, "--show", source[0])
+    if lamps and volume is not None:
+        raise InputError("--emitter is given, but a volume is lit by one light from far away: leave it or --volume out")
+    for option, asked_for in (("--emitter", lamps), ("--show", show != SHOWN[0]), ("--volume", volume is not None)):
+        if asked_for:
+            options.surface_of(loaded, option, source[0])
     loaded = with_points(loaded, lamps)
     around = () if volume is None else (prt.load_transfer(volume),)
     chosen = None if opened.scene else options.gloss_of(loaded, material)

@@ -67,7 +67,7 @@ def describe(transfer: Transfer) -> str:
     """Kind, size and Monte Carlo error of a transfer in a line."""
     parts = [transfer.kind, transfer.transport]
     if transfer.bounces:
-        parts.append(count(transfer.bounces, *_again(transfer)))
+        parts.append(count(transfer.bounces, "bounce"))
     parts.append(f"order {transfer.order}")
     parts += [_functions(each) for each in transfer.layers.values() if each.needs]
     parts += [count(transfer.channels, "channel")]
@@ -88,11 +88,6 @@ def _place(transfer: Transfer) -> str:
     if not transfer.receivers.on_surface:
         return "cell"
     return "node" if "receivers" in transfer.needs else "vertex"
-
-
-def _again(transfer: Transfer) -> tuple[str, str]:
-    """What light does once more, one and many."""
-    return ("bounce", "bounces") if transfer.receivers.on_surface else ("pass", "passes")
 
 
 def details(transfer: Transfer) -> list[str]:

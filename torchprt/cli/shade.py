@@ -56,6 +56,8 @@ def shade(
 ) -> None:
     """Light a bake. `.npy` is linear exit radiance, V x 3, in the vertex order of the mesh file.
 
+    Of a volume it is the source radiance of the cells that hold anything, in their order.
+
     Exposure and tone are of .ply, .glb and .png; size, camera and background of the .png, which is that of `render`.
     """
     ends = check_writable(output, (".npy", ".ply", ".glb", *PICTURES)).suffix.lower()
@@ -86,6 +88,11 @@ def shade(
     loaded = prt.load_transfer(transfer)
     if with_ground:
         loaded = loaded.with_ground()
+    if ends in (".ply", ".glb"):
+        options.surface_of(loaded, ends, transfer, "write .npy or a picture")
+    for option, given in (("--emitter", lamps), ("--pose", pose)):
+        if given:
+            options.surface_of(loaded, option, transfer)
     loaded = with_points(loaded, lamps)
     rest, moved = loaded, dict[str, torch.Tensor]()
     if pose:
@@ -101,12 +108,13 @@ def shade(
         radiance = found.float()
     studio = picture.studio(loaded, shader, environment, near=near)
     # Others were filled from their neighbours.
+    place = "vertex" if loaded.receivers.on_surface else "cell"
     dark = int(((loaded.normals == 0).all(-1) & (radiance == 0).all(-1)).sum())
-    if dark:
+    if dark and loaded.receivers.on_surface:
         say(f"{dark} of {count(len(radiance), 'vertex')} without a normal read 0")
     negative = int((radiance < 0).any(-1).sum())
     if negative:
-        share = f"{negative} of {count(len(radiance), 'vertex')}"
+        share = f"{negative} of {count(len(radiance), place)}"
         say(f"negative radiance at {share}, down to {float(radiance.min()):.3g}: {_why_negative(window, bool(seen))}")
     model = loaded.without_ground()
     if ends in (".ply", ".glb") and model is not loaded:
@@ -122,7 +130,7 @@ def shade(
         radiance = loaded.receivers.in_mesh_order(radiance)
         write_array(output, radiance.contiguous().numpy())
     shown = "" if ends == ".npy" else f", exposure {studio.exposure:+.2f} stops"
-    mean = f"{count(len(radiance), 'vertex')}, mean radiance {triple(radiance.mean(0))}"
+    mean = f"{count(len(radiance), place)}, mean radiance {triple(radiance.mean(0))}"
     under = told(lamps, None if light is None else environment.name) if lamps else environment.name
     say(f"{output}: {mean}{shown}, under {under}")
 

@@ -133,7 +133,9 @@ def _opened(files: list[Path], given: dict[str, Any]) -> Scene | Transfer:
             raise InputError(f"{option} is given, but {files[0]} is baked already: leave it out, or give the mesh")
     from torchprt.transfer import load
 
-    return load(files[0])
+    loaded = load(files[0])
+    options.surface_of(loaded, "a sweep", files[0], "give a mesh")
+    return loaded
 
 
 def _names(lights: list[str]) -> list[str]:

@@ -20,12 +20,14 @@ def reorder(transfer: Transfer, most: int = 8) -> Transfer:
     `transfer` every one was: `result.receivers.in_mesh_order(radiance)` is in the former order. So a mesh is split for
     engines that draw a cluster at a time.
 
-    Raises InputError if nothing is clustered, `most` is less than 1, there are no triangles, or the transfer is
-    reordered already or no mesh.
+    Raises InputError if nothing is clustered, `most` is less than 1, there are no triangles, as in a volume, or the
+    transfer is reordered already or no mesh.
     Source: Sloan, Hall, Hart and Snyder 2003, section 5.
     """
     clustered = [layer for layer in transfer.layers.values() if isinstance(layer.signal, Clustered)]
     vertices = transfer.receivers
+    if not vertices.on_surface:
+        raise InputError("there are no triangles in a volume, which engines could draw a cluster at a time: leave it")
     if not clustered or not isinstance(vertices, Vertices):
         raise InputError(f"transfer of kind '{transfer.kind}' has no clusters of vertices: compress it first")
     if vertices.original is not None:

@@ -98,9 +98,12 @@ def with_sample_points(transfer: Transfer, count: int, *, gradients: bool = Fals
     They are stored with its receivers, as `sample_points [S, 3]` and `blend [V, S]` (`[V, 4 S]` with `gradients`);
     `shade.LocalLightShader` and graphs exported with `local` read them. The points lie about all but the ground, and
     the ground takes its light from them too.
-    Raises InputError as `sample_points`, and for the texels of a patch, which has no place of its own.
+    Raises InputError as `sample_points`, for the texels of a patch, which has no place of its own, and
+    for a volume.
     """
     vertices = transfer.receivers
+    if not vertices.on_surface:
+        raise InputError("sample points are for surfaces: a volume is lit by one light from far away")
     if not isinstance(vertices, Vertices):
         raise InputError("the transfer is of the texels of a patch, which lies nowhere yet: light it after it is laid")
     subject = vertices

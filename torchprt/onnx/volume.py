@@ -129,6 +129,10 @@ class VolumeGraph(nn.Module):
     step: Tensor
     nothing: Tensor
     pixels: Tensor
+    folded: Tensor
+    strides: Tensor
+    numbers: Tensor
+    last: Tensor
     steps: Tensor
     before: Tensor
 
@@ -157,8 +161,16 @@ class VolumeGraph(nn.Module):
         reach = math.tan(math.radians(whole.field) / 2)
         across = (2 * (torch.arange(width).double() + 0.5) / width - 1) * reach * width / height
         up = (1 - 2 * (torch.arange(height).double() + 0.5) / height) * reach
-        pixels = torch.stack([across.expand(height, width), up[:, None].expand(height, width)]).flatten(1)
-        self.register_buffer("pixels", pixels.float())
+        ahead = torch.ones(height, width, dtype=torch.float64)
+        pixels = torch.stack([ahead, across.expand(height, width), up[:, None].expand(height, width)], -1)
+        self.register_buffer("pixels", pixels.flatten(0, 1).float().unsqueeze(0))
+        # A sum over three axes as a product.
+        self.register_buffer("folded", torch.eye(3).repeat(3, 1))
+        corners = torch.tensor([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        strides = torch.tensor([self.shape[1] * self.shape[2], self.shape[2], 1])
+        self.register_buffer("strides", strides)
+        self.register_buffer("numbers", (corners * strides).sum(-1))
+        self.register_buffer("last", torch.tensor(self.shape).float() - 1)
         self.register_buffer("steps", ((torch.arange(self.samples).double() + 0.5) / self.samples).float())
         self.register_buffer("before", torch.ones(self.samples, self.samples).triu(1))
 
@@ -168,84 +180,85 @@ class VolumeGraph(nn.Module):
         source = torch.cat([source, self.nothing.expand(source.shape[0], 1, 3)], 1).index_select(1, self.rows)
         table = torch.cat([0 * source[..., :1] + self.density, source * self.density], -1)
         place, pace, near, far = self.rays(eye)
-        density, glow = self.read(table.reshape(-1, 4), place, pace, near, far)
-        depth = density * ((far - near) / self.samples).unsqueeze(-1)
+        length = (far - near) / self.samples
+        read = self.read(table.reshape(-1, 4), place, pace, near, far)
+        depth = read[..., 0] * length
         flat = depth.reshape(-1, self.samples)
         behind = (flat @ self.before).reshape(depth.shape)
         # (1 - e^(-x)) / x: graphs lack what is exact where x is small.
         thin = 1 - depth / 2 * (1 - depth / 3 * (1 - depth / 4 * (1 - depth / 5)))
         thick = depth > 0.05
         share = torch.where(thick, (1 - torch.exp(-depth)) / torch.where(thick, depth, 1.0), thin)
-        weights = torch.exp(-behind) * share * ((far - near) / self.samples).unsqueeze(-1)
-        radiance = weights.reshape(-1, 1, self.samples) @ glow.reshape(-1, self.samples, 3)
+        weights = torch.exp(-behind) * share * length
+        radiance = weights.reshape(-1, 1, self.samples) @ read[..., 1:].reshape(-1, self.samples, 3)
         hidden = 1 - torch.exp(-(flat @ torch.ones(self.samples, 1)))
         width, height = self.size
         return torch.cat([radiance.reshape(-1, 3), hidden], -1).reshape(-1, height, width, 4)
 
-    def rays(self, eye: Tensor) -> tuple[list[Tensor], list[Tensor], Tensor, Tensor]:
-        """From where rays are nearest to the middle, in cells from the corner of the rim: places and directions, a
-        component `[B, R]` each, and where they enter and leave."""
-        x, y, z = _unit(*scaled(self.target - eye, -1, 0.0).split(1, -1))
+    def rays(self, eye: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """From where rays are nearest to the middle, in cells from the corner of the rim: places and directions
+        `[B, R, 3]`, and where they enter and leave `[B, R, 1]`."""
+        forward = _unit(scaled(self.target - eye, -1, 0.0))
+        x, y, z = forward.split(1, -1)
         # The cross products of forward with +y and with -z.
         level = x * x + z * z > STEEP**2
-        right = _unit(torch.where(level, -z, -y), torch.where(level, 0.0, x), torch.where(level, x, 0.0))
-        above = _cross(right, (x, y, z))
-        across, up = self.pixels[0], self.pixels[1]
-        forward = (x, y, z)
-        unit = _unit(*(forward[axis] + across * right[axis] + up * above[axis] for axis in range(3)))
-        start = [eye[:, axis : axis + 1] - self.middle[axis] for axis in range(3)]
-        away = -(start[0] * unit[0] + start[1] * unit[1] + start[2] * unit[2])
+        nothing = 0 * x
+        right = torch.where(level, torch.cat([-z, nothing, x], -1), torch.cat([-y, x, nothing], -1))
+        right = _unit(right)
+        above = _turned(right) * _turned(_turned(forward)) - _turned(_turned(right)) * _turned(forward)
+        axes = torch.stack([forward, right, above], 1)
+        # Not as a product, which does not broadcast a batch of none.
+        unit = _unit((self.pixels.unsqueeze(-1) * axes.unsqueeze(1)).flatten(2) @ self.folded)
+        start = (eye - self.middle).unsqueeze(1)
+        away = -_dot(start, unit)
+        slope = unit / self.step
         tiny = torch.finfo(torch.float32).tiny ** 0.5
-        place, pace, nears, fars = [], [], [], []
-        for axis in range(3):
-            slope = unit[axis] / self.step[axis]
-            slope = torch.where(slope.abs() > tiny, slope, tiny)
-            offset = (start[axis] + away * unit[axis]) / self.step[axis]
-            reach = self.extent[axis] + 0.5
-            first, second = (-reach - offset) / slope, (reach - offset) / slope
-            nears.append(torch.minimum(first, second))
-            fars.append(torch.maximum(first, second))
-            place.append(offset + self.extent[axis] + 1)
-            pace.append(slope)
-        near = torch.maximum(torch.maximum(torch.maximum(nears[0], nears[1]), nears[2]), -away)
-        far = torch.minimum(torch.minimum(fars[0], fars[1]), fars[2])
-        return place, pace, near, torch.maximum(near, far)
+        slope = torch.where(slope.abs() > tiny, slope, tiny)
+        offset = (start + away * unit) / self.step
+        reach = self.extent + 0.5
+        first, second = (-reach - offset) / slope, (reach - offset) / slope
+        near = _most(torch.minimum(first, second))
+        far = -_most(-torch.maximum(first, second))
+        near = torch.maximum(near, -away)
+        return offset + self.extent + 1, slope, near, torch.maximum(near, far)
 
-    def read(
-        self, table: Tensor, place: list[Tensor], pace: list[Tensor], near: Tensor, far: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Extinction `[B, R, S]` and its product with the source `[B, R, S, 3]`, between the middles of cells."""
-        at = near.unsqueeze(-1) + (far - near).unsqueeze(-1) * self.steps
-        lows, parts = [], []
-        for axis, count in enumerate(self.shape):
-            there = place[axis].unsqueeze(-1) + at * pace[axis].unsqueeze(-1) - 0.5
-            there = there.clamp(0, count - 1)
-            low = there.clamp(0, count - 2).long()
-            lows.append(low)
-            parts.append((there - low.float()).unsqueeze(-1))
-        _, ny, nz = self.shape
+    def read(self, table: Tensor, place: Tensor, pace: Tensor, near: Tensor, far: Tensor) -> Tensor:
+        """Extinction, and its product with the source, `[B, R, S, 4]`, between the middles of cells."""
+        at = near + (far - near) * self.steps
+        there = place.unsqueeze(2) + at.unsqueeze(-1) * pace.unsqueeze(2) - 0.5
+        there = torch.minimum(there.clamp(min=0), self.last)
+        low = torch.minimum(there, self.last - 1).long()
+        part = (there - low.float()).reshape(-1, 3)
         batch = torch.arange(near.shape[0], device=near.device) * math.prod(self.shape)
-        first = (lows[0] * ny + lows[1]) * nz + lows[2] + batch.view(-1, 1, 1)
-        total: Tensor | float = 0.0
+        first = low[..., 0] * self.strides[0] + low[..., 1] * self.strides[1] + low[..., 2] + batch.view(-1, 1, 1)
+        first = first.reshape(-1)
+        x, y, z = (torch.cat([1 - side, side], -1).split(1, -1) for side in part.split(1, -1))
+        squares = [y[j] * z[k] for j in (0, 1) for k in (0, 1)]
+        # One corner after the other: all at once would be eight times as large.
+        total = 0.0 * first.unsqueeze(-1)
         for corner in range(8):
-            i, j, k = corner >> 2, corner >> 1 & 1, corner & 1
-            weight: Tensor | float = 1.0
-            for side, part in zip((i, j, k), parts, strict=True):
-                weight = weight * (part if side else 1 - part)
-            index = (first + (i * ny + j) * nz + k).reshape(-1)
-            total = total + weight * table.index_select(0, index).reshape(-1, *first.shape[1:], 4)
-        assert isinstance(total, Tensor)
-        return total[..., 0], total[..., 1:]
+            index = first + self.numbers[corner]
+            total = total + x[corner // 4] * squares[corner % 4] * table.index_select(0, index)
+        return total.reshape(-1, *at.shape[1:], 4)
 
 
-def _unit(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    length = torch.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
+def _dot(one: Tensor, other: Tensor) -> Tensor:
+    x, y, z = (one * other).split(1, -1)
+    return x + y + z
 
 
-def _cross(one: Sequence[Tensor], other: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    (a, b, c), (x, y, z) = one, other
-    return b * z - c * y, c * x - a * z, a * y - b * x
+def _turned(vectors: Tensor) -> Tensor:
+    """y, z, x."""
+    return torch.cat([vectors[..., 1:], vectors[..., :1]], -1)
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / torch.sqrt(_dot(vectors, vectors))
+
+
+def _most(values: Tensor) -> Tensor:
+    x, y, z = values.split(1, -1)
+    return torch.maximum(torch.maximum(x, y), z)
 
 
 def compare_volume(

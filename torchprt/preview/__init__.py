@@ -24,6 +24,7 @@ from .sight import sight_colours, sight_legend
 from .turntable import Background, Studio, save_gif, strip
 from .video import check_video, save_mp4
 from .volume import VolumeStudio, studio_of
+from .volume_session import VolumeSession, session_of
 from .window import check_window, show
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "Session",
     "Still",
     "Studio",
+    "VolumeSession",
     "VolumeStudio",
     "along",
     "automatic_exposure",
@@ -68,6 +70,7 @@ __all__ = [
     "save_png",
     "save_transfer_glb",
     "seen_along",
+    "session_of",
     "sheet",
     "show",
     "sight_colours",

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from torchprt.errors import InputError
 from torchprt.preview.asset import UNLIT, Primitive, add_others, keep, numbers
 from torchprt.preview.asset_file import AssetFile
 from torchprt.preview.asset_source import Asset, find_asset
@@ -35,8 +36,10 @@ def save_lit_glb(
 
     If it was baked from a glTF file that is still there (or in the folder `near`), it is that file as `keep_light`
     makes it, else a plain mesh as `save_glb` writes. Returns a sentence that says which.
-    Raises InputError if the file is damaged or `path` cannot be written.
+    Raises InputError for a volume, if the file is damaged or `path` cannot be written.
     """
+    if not transfer.receivers.on_surface:
+        raise InputError("a volume has no surface that a .glb could hold: write a picture of it")
     asset, why = find_asset(transfer, near=near)
     if asset is None:
         save_glb(transfer.positions, transfer.normals, transfer.faces, path, colour=colours)

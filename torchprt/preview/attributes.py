@@ -31,9 +31,11 @@ def save_transfer_glb(
     With the `asset` that was baked, as `find_asset` gives it, the file is that asset, with all that it had: `COLOR_0`
     is its own, albedo is in `_PRT_ALBEDO`, and what reverse sides recorded is in `_PRT_BACK_n`, `_PRT_BACK_ALBEDO`.
 
-    Raises InputError if the transfer depends on the eye, `order` is above its own, the vectors need more than 13
-    attributes, or `path` cannot be written.
+    Raises InputError if the transfer depends on the eye or is of a volume, `order` is above its own, the vectors need
+    more than 13 attributes, or `path` cannot be written.
     """
+    if not transfer.receivers.on_surface:
+        raise InputError("a volume has no vertices that attributes could belong to: export .onnx or a page")
     if list(transfer.layers) != ["diffuse"]:
         raise InputError(
             f"transfer of kind '{transfer.kind}' does not fit attributes of vertices: they hold diffuse transfer alone"

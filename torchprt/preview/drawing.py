@@ -38,7 +38,7 @@ class Drawing:
         self._positions = session.positions
         self.model = self._mesh(session.positions, session.faces)
         viewer.add_geometry(self.model)
-        single = reverse_faces(session.rest, session.faces)
+        single = reverse_faces(session.rest, session.faces) if session.has_reverse else session.faces[:0]
         self._reverse = self._mesh(session.positions, single) if len(single) else None
         if self._reverse is not None:
             self._reverse.paint_uniform_color([0.0, 0.0, 0.0])

@@ -17,7 +17,7 @@ from torchprt.preview.encode import encoded, image_of
 from torchprt.preview.environment import Environment, automatic_exposure, built_in_environment, photograph
 from torchprt.preview.ground import subject
 from torchprt.preview.saving import save_picture
-from torchprt.preview.turntable import Studio
+from torchprt.preview.volume import studio_of
 from torchprt.sh import order_of
 from torchprt.shade import display, shader
 from torchprt.shade.display import TONE, ToneMap
@@ -64,7 +64,8 @@ def look(
     Raises InputError as `Studio` and `shader`, if the light is of another order, or it needs a pose.
     """
     environment = _environment(light, transfer.order)
-    studio = Studio(transfer, shader(transfer, brdf=brdf), environment, size=size, exposure=exposure, tone=tone)
+    shaded = shader(transfer, brdf=brdf)
+    studio = studio_of(transfer, shaded, environment, size=size, exposure=exposure, tone=tone)
     camera = frame(subject(transfer.receivers), view, aspect=size[0] / size[1])
     return Picture(studio.picture(camera, torch.eye(3)))
 

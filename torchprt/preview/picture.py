@@ -55,9 +55,8 @@ class Still:
     ):
         if len(faces) == 0:
             raise InputError("a picture needs faces, this transfer was recorded at loose points: write .npy or .ply")
+        _check_pixels(size, samples)
         width, height = size
-        if width < 1 or height < 1 or samples < 1:
-            raise InputError(f"size {width}x{height} with {samples} samples has no pixels: give numbers from 1")
         self.camera = camera or frame(positions, aspect=width / height)
         self.size = size
         self._samples = samples
@@ -108,6 +107,7 @@ class Still:
     @classmethod
     def empty(cls, *, size: tuple[int, int], camera: Camera, samples: int = SAMPLES) -> Still:
         """The picture of nothing at all, before which something may stand that is no surface (`veiled`)."""
+        _check_pixels(size, samples)
         made = cls.__new__(cls)
         pixels = size[0] * size[1]
         made.size, made.camera, made._samples, made._vertices = size, camera, samples, 0
@@ -267,6 +267,12 @@ class Still:
     def _behind(self) -> Tensor:
         """The share of each pixel that is background, `[H, W, 1]`."""
         return self._through.mean(1).view(self.size[1], self.size[0], 1)
+
+
+def _check_pixels(size: tuple[int, int], samples: int) -> None:
+    width, height = size
+    if width < 1 or height < 1 or samples < 1:
+        raise InputError(f"size {width}x{height} with {samples} samples has no pixels: give numbers from 1")
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,9 @@ class Session:
     are not of that mesh.
     """
 
+    # Whether what is drawn has a side that is not lit.
+    has_reverse = True
+
     def __init__(
         self,
         bakes: Mapping[str, Transfer],
@@ -69,18 +72,11 @@ class Session:
     ):
         if not bakes or not environments:
             raise InputError("there is nothing to preview: give a bake and an environment")
-        first_name, first = next(iter(bakes.items()))
-        for name, bake in bakes.items():
-            if not (torch.equal(bake.faces, first.faces) and torch.equal(bake.positions, first.positions)):
-                raise InputError(
-                    f"{name} has {bake.vertices} vertices and {len(bake.faces)} faces, {first_name} {first.vertices} "
-                    f"and {len(first.faces)}: give bakes of one mesh"
-                )
-        if len(first.faces) == 0:
-            raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
+        first = next(iter(bakes.values()))
+        drawn = self._drawn_of(bakes)
         self.bakes = {name: bake for name, bake in bakes.items() if not bake.approximates}
         self.compressed = {name: bake for name, bake in bakes.items() if bake.approximates}
-        self.rest, self.faces = first.positions.double(), first.faces.long()
+        self.rest, self.faces = drawn
         self.positions = self.rest
         self.playing = False
         self.seconds = 0.0
@@ -113,6 +109,21 @@ class Session:
         self._traced: Tensor | None = None
         self._shown: tuple[object, Tensor] | None = None
         self.worst: float | None = None
+
+    def _drawn_of(self, bakes: Mapping[str, Transfer]) -> tuple[Tensor, Tensor]:
+        """Positions and faces of what is drawn; InputError if the bakes are of different meshes or have no faces."""
+        first_name, first = next(iter(bakes.items()))
+        for name, bake in bakes.items():
+            if not (torch.equal(bake.faces, first.faces) and torch.equal(bake.positions, first.positions)):
+                raise InputError(
+                    f"{name} has {bake.vertices} vertices and {len(bake.faces)} faces, {first_name} {first.vertices} "
+                    f"and {len(first.faces)}: give bakes of one mesh"
+                )
+        if not first.receivers.on_surface:
+            raise InputError(f"{first_name} is a volume: use preview.VolumeSession, or session_of")
+        if len(first.faces) == 0:
+            raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
+        return first.positions.double(), first.faces.long()
 
     # What is looked at
 

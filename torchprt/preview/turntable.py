@@ -102,6 +102,8 @@ class Studio:
     def _look(self, camera: Camera) -> Still:
         if self._still is None or self._still.camera != camera:
             place = self.transfer.receivers
+            if not place.on_surface:
+                raise InputError("a volume is no mesh to make a still of: use preview.VolumeStudio, or studio_of")
             self._still = Still(
                 *(place.positions, place.faces),
                 size=self.size,

@@ -67,7 +67,7 @@ class VolumeStudio(Studio):
         still, radiance = super().shaded(camera, light)
         return self._veiled(still, source), radiance
 
-    def given(self, camera: Camera, radiance: Float[Tensor, "V 3"]) -> tuple[Still, Float[Tensor, "V 3"]]:
+    def given(self, camera: Camera, radiance: Float[Tensor, "V 3"]) -> tuple[Still, Float[Tensor, "none 3"]]:
         """A picture of the volume alone whose cells have this source radiance."""
         if not self.alone:
             raise InputError("radiance is given for a surface in a volume, whose own is not: leave it out")
@@ -92,11 +92,6 @@ class VolumeStudio(Studio):
         if not self.alone:
             return super()._look(camera)
         if self._still is None or self._still.camera != camera:
-            width, height = self.size
-            if width < 1 or height < 1 or self.samples < 1:
-                raise InputError(
-                    f"size {width}x{height} with {self.samples} samples has no pixels: give numbers from 1"
-                )
             self._still = Still.empty(size=self.size, camera=camera, samples=self.samples)
         return self._still
 

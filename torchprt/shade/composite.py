@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -55,6 +55,7 @@ class Composite(KeepsSingle):
     high: Tensor
     step: Tensor
     rows: Tensor
+    held: Tensor
 
     def __init__(
         self,
@@ -99,6 +100,13 @@ class Composite(KeepsSingle):
         rows = torch.full((math.prod(self.shape),), cells.count, dtype=torch.int32, device=device)
         rows[number] = torch.arange(cells.count, dtype=torch.int32, device=device)
         self.register_buffer("rows", rows, persistent=False)
+        held = torch.zeros([count + 2 for count in self.shape], dtype=torch.bool, device=device)
+        held[tuple((where + 1).unbind(1))] = True
+        # Between which middles of eight cells there is anything.
+        for axis in range(3):
+            count = self.shape[axis] + 1
+            held = held.narrow(axis, 0, count) | held.narrow(axis, 1, count)
+        self.register_buffer("held", held.flatten(), persistent=False)
 
     def extra_repr(self) -> str:
         steps = "" if self.samples is None else f", samples={self.samples}"
@@ -225,8 +233,8 @@ class Composite(KeepsSingle):
             middle = near.unsqueeze(-1) + (far - near).unsqueeze(-1) * steps
         if self.reading == "trilinear":
             return self._between(table, place, pace, middle, length, number)
-        index = 0
         with torch.no_grad():
+            index = torch.zeros_like(middle, dtype=torch.int32)
             for axis, count in enumerate(self.shape):
                 there = place[:, axis, None] + middle * pace[:, axis, None]
                 index = index * count + there.clamp(0, count - 1).int()
@@ -241,10 +249,11 @@ class Composite(KeepsSingle):
     def _between(
         self, table: Tensor, place: Tensor, pace: Tensor, middle: Tensor, length: Tensor, number: Tensor
     ) -> tuple[Float[Tensor, "R D"], Float[Tensor, "R"]]:
-        there = place.unsqueeze(-2) + middle.unsqueeze(-1) * pace.unsqueeze(-2)
-        size = torch.tensor(self.shape, dtype=there.dtype, device=there.device)
-        there = 2 * there / size - 1
-        read = with_all_derivatives(_interpolated, _corners, table, there, number)
+        if values_are_at_hand(place, table):
+            read = self._read_where_held(table, place, pace, middle, number)
+        else:
+            there = place.unsqueeze(-2) + middle.unsqueeze(-1) * pace.unsqueeze(-2)
+            read = with_all_derivatives(_interpolated, _corners, table, self._relative(there), number)
         density, glow = read[0], read[1:]
         length = length.to(density.dtype)
         depth = density * length
@@ -255,6 +264,29 @@ class Composite(KeepsSingle):
         share = torch.where(thin, 1 - depth / 2 * (1 - depth / 3), -torch.expm1(-safe) / safe)
         weights = torch.exp(depth - behind) * share * length
         return (glow * weights).sum(-1).mT, torch.exp(-behind[:, -1])
+
+    def _read_where_held(
+        self, table: Tensor, place: Tensor, pace: Tensor, middle: Tensor, number: Tensor
+    ) -> Float[Tensor, "D R S"]:
+        """What is read at all steps, looked up only where there is anything."""
+        with torch.no_grad():
+            index = torch.zeros_like(middle, dtype=torch.int32)
+            for axis, count in enumerate(self.shape):
+                there = place[:, axis, None] + middle * pace[:, axis, None] + 0.5
+                index = index * (count + 1) + there.clamp(0, count).int()
+            kept = self.held[index.flatten()].nonzero()[:, 0]
+            ray = kept // middle.shape[1]
+        there = place[ray] + middle.flatten()[kept].unsqueeze(-1) * pace[ray]
+        read = with_all_derivatives(
+            _interpolated, _corners, table, self._relative(there).unsqueeze(0), number[ray].unsqueeze(0)
+        )
+        whole = read.new_zeros(read.shape[0], middle.numel()).index_copy(1, kept, read[:, 0])
+        return whole.view(-1, *middle.shape)
+
+    def _relative(self, there: Float[Tensor, "*R 3"]) -> Float[Tensor, "*R 3"]:
+        """Places in cells as `grid_sample` has them, from -1 to 1."""
+        size = torch.tensor(self.shape, dtype=there.dtype, device=there.device)
+        return 2 * there / size - 1
 
     def _check(self, source: Tensor, origins: Tensor, directions: Tensor, far: Tensor | None) -> None:
         if source.ndim < 2 or source.shape[-2:] != (len(self.extinction), 3):
@@ -303,18 +335,17 @@ def _corners(table: Tensor, there: Tensor, number: Tensor) -> Tensor:
         lows.append(low.long())
         parts.append(at - low)
     flat = table.flatten(2).movedim(1, 0).flatten(1)
-    first = number.long().unsqueeze(-1) * math.prod(sizes)
+    first = number.long().view(*there.shape[:-2], -1) * math.prod(sizes)
     for corner in range(8):
-        weight: Tensor | float = 1.0
-        index: Tensor | int = 0
-        inside: Tensor | bool = True
+        weight: Any = 1.0
+        index: Any = 0
+        inside: Any = True
         for axis, count in enumerate(sizes):
             side = corner >> axis & 1
             place = lows[axis] + side
             weight = weight * (parts[axis] if side else 1 - parts[axis])
             inside = inside & (place >= 0) & (place < count)
             index = index * count + place.clamp(0, count - 1)
-        assert isinstance(weight, Tensor)
         kept = torch.where(inside, weight, 0.0).to(flat.dtype)
         read = flat.index_select(1, (first + index).flatten()).view(-1, *there.shape[:-1]) * kept
         total = read if total is None else total + read

@@ -30,6 +30,7 @@ from torchprt.web.flight import Flight
 from torchprt.web.libraries import libraries
 from torchprt.web.mesh import save_small_glb
 from torchprt.web.packing import pack
+from torchprt.web.volume import NAME, box, save_volume
 from torchprt.words import count
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
@@ -97,6 +98,9 @@ def export(
     given, and the difference of transfer and what approximates it. Glossy transfer follows the eye.
     The graph is compared with torch as by `onnx.export` if `check`. A former page in `folder` is replaced as a whole.
 
+    Of a volume the page composites the source radiance of its cells, which the graph gives, along the rays of its
+    camera, in steps between cells as `shade.Composite` does; it shows transfer and `compressed`.
+
     `flight`: an object that moves over the model and casts its shadow on it.
 
     Weights and mesh are quantised (`packing.pack`, `mesh.save_small_glb`), which with gzip makes 100 000 vertices of
@@ -108,7 +112,10 @@ def export(
     target = Path(folder)
     _check_folder(target)
     full = at_rest(transfer)
-    if len(full.faces) == 0:
+    volume = None if full.receivers.on_surface else full.receivers.as_cells()
+    if volume is not None and flight is not None:
+        raise InputError("nothing flies over a volume, which has no surface to cast a shadow on: leave the flight out")
+    if len(full.faces) == 0 and volume is None:
         raise InputError("a page shows faces, and this transfer was recorded at loose points: export .onnx")
     packed = None if compressed is None else at_rest(compressed)
     if packed is not None:
@@ -137,7 +144,12 @@ def export(
         if flight is not None:
             flies, graphs, flying = flight.write(made, save, check)
             models += [_zipped(each) for each in graphs]
-        moved = save(full.positions, full.normals, full.faces, made / "mesh.glb", colour=_reflectance(full)) or 0.0
+        drawn, colour = (full.positions, full.normals, full.faces), _reflectance(full)
+        if volume is not None:
+            # What is drawn are the sides of its box.
+            drawn, colour = box(volume), torch.zeros(8, 3)
+        moved = save(*drawn, made / "mesh.glb", colour=colour) or 0.0
+        cells = None if volume is None else save_volume(volume, made)
         mirrors = full.receivers.mirrors
         if mirrors is not None:
             places, normals, shares, corners = mirrors
@@ -145,7 +157,8 @@ def export(
         camera = preview.frame(preview.subject(full.receivers), aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
         stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
-        about = _about(full, transfer, compressed, title) | {
+        closed = volume is not None or _is_closed(full.positions, full.faces)
+        about = _about(full, transfer, compressed, title, closed) | {
             "tone": TONE,
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
             "environments": [
@@ -155,7 +168,13 @@ def export(
         }
         about["mirrors"] = mirrors is not None
         about["flight"] = flies
-        meshes = ("mesh.glb", *(("mirrors.glb",) if mirrors is not None else ()), *flying)
+        about["volume"] = cells
+        meshes = (
+            "mesh.glb",
+            *((NAME,) if volume is not None else ()),
+            *(("mirrors.glb",) if mirrors is not None else ()),
+            *flying,
+        )
         loaded = (
             *meshes,
             *(each.name for each in models if each.name != COMPRESSED + ".gz"),
@@ -229,7 +248,7 @@ def _picture(environment: Environment, folder: Path, index: int) -> str:
     return name
 
 
-def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str) -> dict[str, Any]:
+def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, title: str, closed: bool) -> dict[str, Any]:
     bounces = f", {count(full.bounces, 'bounce')}" if full.bounces else ""
     about: dict[str, Any] = {
         "torchprt": VERSION,
@@ -241,7 +260,7 @@ def _about(full: Transfer, transfer: Transfer, compressed: Transfer | None, titl
         "vertices": full.vertices,
         "bytes": transfer.bytes,
         "glossy": "eye" in full.needs,
-        "closed": _is_closed(full.positions, full.faces),
+        "closed": closed,
         "full_scale": SHADOWS if compressed is None else COMPRESSION,
         "compressed": None,
     }

@@ -5,6 +5,7 @@ import { loadMesh } from "./mesh.js";
 import { connect, median, megabytes, report } from "./panel.js";
 import { Model } from "./runtime.js";
 import { Viewer } from "./viewer.js";
+import { Volume } from "./volume.js";
 
 const at = (id) => document.getElementById(id);
 
@@ -59,7 +60,7 @@ async function start() {
   at("title").textContent = described.title;
   at("subtitle").textContent = described.subtitle;
   at("loading").textContent = `loading ${megabytes(described.download)}`;
-  const [mesh, model, compressed, pictures, mirrors, flight] = await Promise.all([
+  const [mesh, model, compressed, pictures, mirrors, flight, volume] = await Promise.all([
     ...loading,
     described.compressed ? Model.open("compressed.onnx.gz") : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
@@ -67,15 +68,18 @@ async function start() {
     described.flight
       ? Promise.all([Model.open("shadow.onnx.gz"), Model.open("object.onnx.gz"), loadMesh("object.glb")])
       : null,
+    described.volume ? Volume.open("volume.bin.gz", described.volume) : null,
   ]);
-  if (mesh.vertices !== described.vertices) {
-    throw notOfOnePage(`mesh.glb has ${mesh.vertices} vertices where the model shades ${described.vertices}`);
+  if (volume ? volume.count !== described.vertices : mesh.vertices !== described.vertices) {
+    const [name, count] = volume ? ["volume.bin.gz", volume.count] : ["mesh.glb", mesh.vertices];
+    throw notOfOnePage(`${name} has ${count} where the model shades ${described.vertices}`);
   }
   for (const each of described.environments) each.coefficients = Float32Array.from(each.coefficients.flat());
   const viewer = new Viewer(at("canvas"), described, mesh, model, compressed, pictures);
   at("canvas").addEventListener("webglcontextlost", () =>
     window.complain("The graphics card was lost", "The system or another page took it away. Load this page again."),
   );
+  if (volume) viewer.view.addVolume(volume);
   if (mirrors) viewer.view.addMirrors(mirrors);
   if (flight) viewer.let(new Flight(described.flight, ...flight));
   connect(viewer);

@@ -30,7 +30,7 @@ export const median = (values) => [...values].sort((a, b) => a - b)[values.lengt
 export function report(viewer) {
   const { about, model, compressed } = viewer;
   const rows = [
-    ["vertices", number(about.vertices)],
+    [about.volume ? "cells" : "vertices", number(about.vertices)],
     ["transfer", megabytes(about.bytes)],
     ...(compressed ? [["compressed", megabytes(about.compressed.bytes)]] : []),
     ["model file", megabytes(model.bytes)],
@@ -106,9 +106,11 @@ function modes(viewer) {
     ...(about.compressed ? [["compressed", "Compressed", about.compressed.what]] : []),
     ["difference", "Difference", about.compressed ? "compressed from transfer" : "irradiance from transfer"],
   ];
+  // A volume has no normals.
+  const possible = entries.filter(([value]) => !about.volume || ["transfer", "compressed"].includes(value));
   choices(
     at("modes"),
-    entries.map(([value, name, what]) => {
+    possible.map(([value, name, what]) => {
       const small = document.createElement("small");
       small.textContent = what;
       return [value, name, small];

@@ -138,7 +138,9 @@ export class View {
     this.sky.frustumCulled = false;
     this.sky.renderOrder = -1;
     this.sky.visible = false;
-    this.scene = new THREE.Scene().add(this.sky, new THREE.Mesh(geometry, this.material));
+    this.model = new THREE.Mesh(geometry, this.material);
+    this.volume = null;
+    this.scene = new THREE.Scene().add(this.sky, this.model);
     this.reverse = reverse();
     // Of a closed surface no reverse is seen.
     if (!closed) this.scene.add(new THREE.Mesh(geometry, this.reverse));
@@ -195,7 +197,15 @@ export class View {
   }
 
   set radiance(values) {
-    shine(this.geometry, values);
+    if (this.volume) this.volume.fill(values);
+    else shine(this.geometry, values);
+  }
+
+  /** Draws what is in the box that the mesh is, in its place. */
+  addVolume(volume) {
+    volume.prepare(this.renderer);
+    this.volume = volume;
+    this.material = this.model.material = volume.material;
   }
 
   /** Draws an object that moves through `places` too. */
