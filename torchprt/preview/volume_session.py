@@ -49,6 +49,7 @@ class VolumeSession(Session):
             raise InputError("poses are given, but a volume does not move: leave them out")
         super().__init__(bakes, environments, **options)
         self._subject = next(iter(bakes.values())).receivers.subject.double()
+        self._rim = math.hypot(*next(iter(bakes.values())).receivers.as_cells().spacing) / 2
         self._opacity = None
         self._met: tuple[Camera, Tensor] | None = None
         self._source: tuple[object, Tensor] | None = None
@@ -84,7 +85,10 @@ class VolumeSession(Session):
         depth = away @ forward
         if bool((depth > 0.01 * distance).all()):
             across, up = away @ right / depth, away @ above / depth
-            sides = [float(each.clamp(-reach, reach)) for each in (across.amin(), across.amax(), up.amin(), up.amax())]
+            # What is read between cells goes half a cell beyond them.
+            rim = self._rim / float(depth.min())
+            ends = (across.amin() - rim, across.amax() + rim, up.amin() - rim, up.amax() + rim)
+            sides = [float(each.clamp(-reach, reach)) for each in ends]
         else:
             # The camera is in it.
             sides = [-reach, reach, -reach, reach]

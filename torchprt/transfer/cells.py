@@ -78,17 +78,19 @@ class Cells(Receivers):
         return list(self.origin), high
 
     @property
-    def subject(self) -> Float[Tensor, "8 3"]:
-        """What pictures frame: the corners of the box of those that hold anything."""
+    def subject(self) -> Float[Tensor, "S 3"]:
+        """What pictures frame: the corners of those that hold anything, of each column along z of its two ends."""
         places = self.places()
         if not len(places):
             places = torch.zeros(1, 3, dtype=torch.float64, device=self.cells.device)
-        ends = torch.stack([places.amin(0), places.amax(0) + 1])
-        corners = torch.cartesian_prod(*ends.unbind(1))
-        step, low = (
-            torch.tensor(each, dtype=torch.float64, device=ends.device) for each in (self.spacing, self.origin)
-        )
-        return (low + corners * step).to(torch.float32)
+        # They ascend, z the fastest.
+        _, counts = torch.unique_consecutive(places[:, :2], dim=0, return_counts=True)
+        last = counts.cumsum(0) - 1
+        sides = torch.tensor([0.0, 1.0], dtype=torch.float64, device=places.device)
+        corners = torch.cartesian_prod(sides, sides, sides)
+        ends = torch.cat([places[last - counts + 1], places[last]]).unsqueeze(1) + corners
+        low, step = (places.new_tensor(each) for each in (self.origin, self.spacing))
+        return (low + ends.flatten(0, 1) * step).to(torch.float32)
 
     def dense(self, values: Float[Tensor, "*B V"]) -> Float[Tensor, "*B X Y Z"]:
         """Values of the receivers as those of all cells, zero where there is nothing."""
