@@ -123,6 +123,18 @@ def test_what_is_in_front_hides_what_is_behind(reading):
 
 
 @pytest.mark.parametrize("reading", ALL)
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_rays_through_its_box_that_meet_nothing_see_the_background(reading, batch):
+    extinction = torch.zeros(8, 8, 8)
+    extinction[0, 0, 0] = extinction[7, 7, 7] = 1.0
+    composite = Composite(cells_of(extinction), reading=reading)
+    start = torch.tensor([0.5, 7.5, -1.0]).expand(*batch, 1, 3)
+    seen, through = composite(torch.ones(*batch, 2, 3), start, torch.tensor([[0.0, 0.0, 1.0]]))
+    assert float(seen.abs().max()) == 0
+    assert bool((through == 1).all())
+
+
+@pytest.mark.parametrize("reading", ALL)
 def test_beside_the_volume_and_before_a_near_surface_there_is_only_background(reading):
     cells = random_cells()
     composite, (start, toward) = Composite(cells, reading=reading, dtype=WIDE), rays(20, reach=3.0)

@@ -281,7 +281,7 @@ class Composite(KeepsSingle):
             _interpolated, _corners, table, self._relative(there).unsqueeze(0), number[ray].unsqueeze(0)
         )
         whole = read.new_zeros(read.shape[0], middle.numel()).index_copy(1, kept, read[:, 0])
-        return whole.view(-1, *middle.shape)
+        return whole.view(len(whole), *middle.shape)
 
     def _relative(self, there: Float[Tensor, "*R 3"]) -> Float[Tensor, "*R 3"]:
         """Places in cells as `grid_sample` has them, from -1 to 1."""
@@ -347,7 +347,7 @@ def _corners(table: Tensor, there: Tensor, number: Tensor) -> Tensor:
             inside = inside & (place >= 0) & (place < count)
             index = index * count + place.clamp(0, count - 1)
         kept = torch.where(inside, weight, 0.0).to(flat.dtype)
-        read = flat.index_select(1, (first + index).flatten()).view(-1, *there.shape[:-1]) * kept
+        read = flat.index_select(1, (first + index).flatten()).view(len(flat), *there.shape[:-1]) * kept
         total = read if total is None else total + read
     assert total is not None
     return total
