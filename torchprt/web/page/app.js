@@ -71,8 +71,8 @@ async function start() {
     described.volume ? Volume.open("volume.bin.gz", described.volume) : null,
   ]);
   if (volume ? volume.count !== described.vertices : mesh.vertices !== described.vertices) {
-    const [name, count] = volume ? ["volume.bin.gz", volume.count] : ["mesh.glb", mesh.vertices];
-    throw notOfOnePage(`${name} has ${count} where the model shades ${described.vertices}`);
+    const found = volume ? `volume.bin.gz has ${volume.count} cells` : `mesh.glb has ${mesh.vertices} vertices`;
+    throw notOfOnePage(`${found} where the model shades ${described.vertices}`);
   }
   for (const each of described.environments) each.coefficients = Float32Array.from(each.coefficients.flat());
   const viewer = new Viewer(at("canvas"), described, mesh, model, compressed, pictures);
