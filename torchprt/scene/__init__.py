@@ -18,9 +18,11 @@ from .reading import read_mesh
 from .rig import Rig
 from .scene import Requirements, Scene, is_scene, load, load_objects, mirror_of
 from .scene_file import read_scene
+from .subsurface import MATERIALS, Subsurface, read_subsurface
 from .surface import Look, Surface, read_surface, texture_albedo
 
 __all__ = [
+    "MATERIALS",
     "EnergyWarning",
     "Geometry",
     "Glosses",
@@ -34,6 +36,7 @@ __all__ = [
     "Requirements",
     "Rig",
     "Scene",
+    "Subsurface",
     "Surface",
     "TangentWarning",
     "bend",
@@ -49,6 +52,7 @@ __all__ = [
     "read_material",
     "read_mesh",
     "read_scene",
+    "read_subsurface",
     "read_surface",
     "samples",
     "texture_albedo",
