@@ -105,7 +105,7 @@ def test_the_profile_over_the_plane_integrates_to_what_a_half_space_reflects(nam
 
         steps = np.log([1e-7, 0.01, 0.3, 2.0, 30.0])
         parts = [quad(ring, low, high, epsabs=1e-10, epsrel=1e-8)[0] for low, high in itertools.pairwise(steps)]
-        assert closed[1:, colour].tolist() == pytest.approx(np.cumsum(parts), abs=1e-8)
+        assert closed[1:, colour].tolist() == pytest.approx(np.cumsum(parts), abs=1e-6)
     assert closed[0].abs().max() <= EPS
     torch.testing.assert_close(source.within(torch.tensor(1e12)), source.total, atol=1e-9, rtol=0)
 

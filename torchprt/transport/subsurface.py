@@ -1,0 +1,168 @@
+"""Subsurface scattering: light that arrives at a body leaves it elsewhere, as diffusion has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from scipy.sparse import coo_matrix, csr_matrix
+from torch import Tensor
+
+from torchprt.brdf import Dipole
+from torchprt.transport.stages import Stages
+from torchprt.transport.subsurface_faces import near_faces, turn_share
+from torchprt.transport.subsurface_tree import Tree, close, gathered_from, halved, padded, profile_of, squares, tree_of
+from torchprt.transport.task import Once, Task
+
+BLOCK = 64
+"""Vertices that gather from the same clusters, at most."""
+SPREAD = 0.25
+"""How much the profile may change over a cluster, as a share; the error that this leaves is some hundredth of it."""
+
+_BLOCKS = 8
+"""Blocks a task."""
+
+
+@dataclass
+class Body:
+    """A body that light diffuses in: its surface, and the medium below it.
+
+    `rows [v]` of the receivers of a bake, `positions [v, 3]` in mm, `faces [f, 3]` over them, the `source` of light
+    that diffuses, and what share of arriving light is `entering`."""
+
+    rows: Int64[Tensor, "v"]
+    positions: Float64[Tensor, "v 3"]
+    faces: Int64[Tensor, "f 3"]
+    source: Dipole
+    entering: float
+    spread: float = SPREAD
+    once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        corners = self.positions[self.faces]
+        one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        self.area = torch.linalg.cross(one, two).norm(dim=-1) / 2
+        self.middle = corners.mean(1)
+        self.size = torch.stack([one, two, two - one]).norm(dim=-1).amax(0)
+        self.turn = turn_share(self.positions, self.faces)
+
+    def seen(
+        self, tree: Tree, vertices: Int64[Tensor, "b"], items: Int64[Tensor, "t"]
+    ) -> tuple[Float[Tensor, "b t"], Bool[Tensor, "b t"]]:
+        """Square distances of some vertices and items, and which of these are faces near them."""
+        points = self.positions[vertices]
+        centre = points.mean(0)
+        square = squares((points - centre).float(), (tree.centre[items] - centre).float())
+        # Clusters that are taken as one hold no face that is near.
+        size = torch.where(items < tree.clusters, 0, tree.size[items]).float()
+        return square, close(square, size, self.source)
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """How light gets around in a body: a tree of its faces, and its vertices in blocks that gather from the same items.
+
+    `blocks [B, b]` are vertices; where their `own` is False they stand in another block, too, so that all are full.
+    Vertices of a block gather from its `items` of the tree, and each by itself from faces `near` it: a matrix `[v, v]`
+    a colour."""
+
+    tree: Tree
+    blocks: Int64[Tensor, "B b"]
+    own: Bool[Tensor, "B b"]
+    items: list[Int64[Tensor, "_"]]
+    near: list[csr_matrix]
+
+
+@dataclass(frozen=True)
+class Reaching(Task):
+    """From which "items" some blocks gather, "counts" of them a block, and the entries of their rows of the near
+    matrices: "row" and "column" `[E]`, "entry" `[C, E]`."""
+
+    def compute(self, body: Body, tree: Tree, blocks: Tensor, own: Tensor) -> dict[str, Tensor]:
+        here, mine = blocks[self.index], own[self.index]
+        places = body.positions[here]
+        centre = places.mean(1)
+        radius = (places - centre[:, None]).norm(dim=-1).amax(1)
+        items, starts = gathered_from(tree, body.source, centre, radius, body.spread, float(body.area.sum()))
+        vertices, faces = [], []
+        for block, some in enumerate(items.tensor_split(starts[1:-1])):
+            _, is_close = body.seen(tree, here[block], some)
+            who, what = torch.nonzero(is_close & mine[block][:, None], as_tuple=True)
+            vertices.append(here[block][who])
+            faces.append(tree.order[some[what] - tree.clusters])
+        vertex, face = torch.cat(vertices), torch.cat(faces)
+        row, column, entry = near_faces(body.positions, body.faces, vertex, face, body.source, body.turn)
+        return {"items": items, "counts": starts.diff(), "row": row, "column": column, "entry": entry.float()}
+
+
+@dataclass(frozen=True)
+class Gathering(Task):
+    """What is "leaving" `[blocks, b, C, W]` at some blocks, but for what comes from near. `values [C or 1, I, W]`."""
+
+    def compute(self, body: Body, paths: Paths, values: Tensor) -> dict[str, Tensor]:
+        blocks, colours = paths.blocks[self.index], len(body.source.real)
+        found = torch.empty(*blocks.shape, colours, values.shape[-1])
+        for number, (vertices, items) in enumerate(zip(blocks, paths.items[self.rows], strict=True)):
+            square, is_close = body.seen(paths.tree, vertices, items)
+            sent = [each[items] for each in values]
+            for colour in range(colours):
+                weights = profile_of(square, body.source, colour).masked_fill_(is_close, 0)
+                found[number, :, colour] = weights @ sent[colour % len(sent)]
+        return {"leaving": found}
+
+
+def diffused(
+    body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: Stages
+) -> Float[Tensor, "v D"]:
+    """What leaves the vertices of a body, as a diffuse surface that reflected all of it would send it.
+
+    `arriving` has the coefficients of 1 channel or of one a colour side by side, what leaves of one a colour. Linear. A
+    row of weights adds up to at most 1: the dipole is that of a half-space, and where a body is thin more would leave
+    its two sides than came.
+    Source: Jensen and Buhler 2002, sections 2 and 3; what leaves is spread evenly over the directions.
+    """
+    paths = body.once("paths", lambda: paths_of(body, stages))
+    colours, count = len(body.source.real), len(body.positions)
+    # A column of ones goes along: it becomes the sum of the weights.
+    light = arriving.view(count, channels, -1)
+    light = torch.cat([light, torch.ones(count, channels, 1)], -1).permute(1, 0, 2).contiguous()
+    portion = (body.area / 3).float()[:, None]
+    values = torch.stack([paths.tree.sums(sum_of_corners(each, body.faces) * portion) for each in light])
+    near = [matrix @ light[colour % channels].numpy() for colour, matrix in enumerate(paths.near)]
+    found = torch.from_numpy(np.stack(near, 1))
+    for task, some in stages.run("diffusion", tasks_of(paths.blocks, Gathering), body, paths, values):
+        mine = paths.own[task.index]
+        found[paths.blocks[task.index][mine]] += some["leaving"][mine]
+    scale = body.entering / found[..., -1:].clamp(min=1)
+    return (found[..., :-1] * scale).view(count, colours * (light.shape[-1] - 1))
+
+
+def sum_of_corners(values: Float[Tensor, "v W"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, "f W"]:
+    return values[faces[:, 0]] + values[faces[:, 1]] + values[faces[:, 2]]
+
+
+def paths_of(body: Body, stages: Stages) -> Paths:
+    """How light gets around in a body."""
+    tree = tree_of(body.middle, body.area, body.size)
+    count = len(body.positions)
+    leaves, full = padded(count, BLOCK)
+    place = torch.arange(full) % count
+    order = halved(body.positions[place], leaves)
+    blocks, own = place[order], order < count
+    items: list[Tensor] = [torch.zeros(0, dtype=torch.int64)] * len(blocks)
+    parts = []
+    for task, found in stages.run("subsurface", tasks_of(blocks, Reaching), body, tree, blocks, own):
+        items[task.rows] = found["items"].split(found["counts"].tolist())
+        parts.append((task.rows.start, found))
+    parts.sort(key=lambda part: part[0])
+    row, column, entry = (torch.cat([found[name] for _, found in parts], -1) for name in ("row", "column", "entry"))
+    where = row.numpy(), column.numpy()
+    near = [coo_matrix((each.numpy(), where), (count, count)).tocsr() for each in entry]
+    return Paths(tree, blocks, own, items, near)
+
+
+def tasks_of(blocks: Tensor, kind: type[Reaching] | type[Gathering]) -> list:
+    """Tasks over all blocks."""
+    return [kind(slice(start, min(start + _BLOCKS, len(blocks)))) for start in range(0, len(blocks), _BLOCKS)]
