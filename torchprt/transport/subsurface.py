@@ -13,7 +13,16 @@ from torch import Tensor
 from torchprt.brdf import Dipole
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface_faces import near_faces, turn_share
-from torchprt.transport.subsurface_tree import Tree, close, gathered_from, halved, padded, profile_of, squares, tree_of
+from torchprt.transport.subsurface_tree import (
+    Tree,
+    close,
+    gathered_from,
+    halved,
+    padded,
+    profile_over,
+    squares,
+    tree_of,
+)
 from torchprt.transport.task import Once, Task
 
 BLOCK = 64
@@ -21,8 +30,8 @@ BLOCK = 64
 SPREAD = 0.25
 """How much the profile may change over a cluster, as a share; the error that this leaves is some hundredth of it."""
 
-_BLOCKS = 8
-"""Blocks a task."""
+# Blocks a task, and items at a time: what is between them stays in a core's cache.
+_BLOCKS, _ITEMS = 8, 512
 
 
 @dataclass
@@ -44,20 +53,28 @@ class Body:
         corners = self.positions[self.faces]
         one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         self.area = torch.linalg.cross(one, two).norm(dim=-1) / 2
-        self.middle = corners.mean(1)
         self.size = torch.stack([one, two, two - one]).norm(dim=-1).amax(0)
         self.turn = turn_share(self.positions, self.faces)
 
-    def seen(
-        self, tree: Tree, vertices: Int64[Tensor, "b"], items: Int64[Tensor, "t"]
-    ) -> tuple[Float[Tensor, "b t"], Bool[Tensor, "b t"]]:
-        """Square distances of some vertices and items, and which of these are faces near them."""
+    def seen(self, tree: Tree, vertices: Int64[Tensor, "b"], items: Int64[Tensor, "t"]) -> Seen:
+        """Some items of a tree from some vertices."""
         points = self.positions[vertices]
-        centre = points.mean(0)
-        square = squares((points - centre).float(), (tree.centre[items] - centre).float())
+        middle = points.mean(0)
+        moments = tree.moments[items].float()
+        square, along = squares((points - middle).float(), (tree.centre[items] - middle).float(), moments)
         # Clusters that are taken as one hold no face that is near.
         size = torch.where(items < tree.clusters, 0, tree.size[items]).float()
-        return square, close(square, size, self.source)
+        return Seen(square, along, moments[:, :3].sum(-1), close(square, size, self.source))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Items from vertices: what `profile_over` takes, and which are faces so `near` that it will not do."""
+
+    square: Float[Tensor, "b t"]
+    along: Float[Tensor, "b t"]
+    spread: Float[Tensor, "t"]
+    near: Bool[Tensor, "b t"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +105,8 @@ class Reaching(Task):
         items, starts = gathered_from(tree, body.source, centre, radius, body.spread, float(body.area.sum()))
         vertices, faces = [], []
         for block, some in enumerate(items.tensor_split(starts[1:-1])):
-            _, is_close = body.seen(tree, here[block], some)
-            who, what = torch.nonzero(is_close & mine[block][:, None], as_tuple=True)
+            near = body.seen(tree, here[block], some).near
+            who, what = torch.nonzero(near & mine[block][:, None], as_tuple=True)
             vertices.append(here[block][who])
             faces.append(tree.order[some[what] - tree.clusters])
         vertex, face = torch.cat(vertices), torch.cat(faces)
@@ -103,13 +120,14 @@ class Gathering(Task):
 
     def compute(self, body: Body, paths: Paths, values: Tensor) -> dict[str, Tensor]:
         blocks, colours = paths.blocks[self.index], len(body.source.real)
-        found = torch.empty(*blocks.shape, colours, values.shape[-1])
+        found = torch.zeros(*blocks.shape, colours, values.shape[-1])
         for number, (vertices, items) in enumerate(zip(blocks, paths.items[self.rows], strict=True)):
-            square, is_close = body.seen(paths.tree, vertices, items)
-            sent = [each[items] for each in values]
-            for colour in range(colours):
-                weights = profile_of(square, body.source, colour).masked_fill_(is_close, 0)
-                found[number, :, colour] = weights @ sent[colour % len(sent)]
+            for some in items.split(_ITEMS):
+                seen, sent = body.seen(paths.tree, vertices, some), [each[some] for each in values]
+                for colour in range(colours):
+                    weights = profile_over(seen.square, seen.along, seen.spread, body.source, colour)
+                    weights.masked_fill_(seen.near, 0)
+                    found[number, :, colour].addmm_(weights, sent[colour % len(sent)])
         return {"leaving": found}
 
 
@@ -145,7 +163,7 @@ def sum_of_corners(values: Float[Tensor, "v W"], faces: Int64[Tensor, "f 3"]) ->
 
 def paths_of(body: Body, stages: Stages) -> Paths:
     """How light gets around in a body."""
-    tree = tree_of(body.middle, body.area, body.size)
+    tree = tree_of(body.positions[body.faces], body.area, body.size)
     count = len(body.positions)
     leaves, full = padded(count, BLOCK)
     place = torch.arange(full) % count

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchprt.brdf import Dipole
 from torchprt.scene.weld import weld
-from torchprt.transport.subsurface_tree import profile_of
 
 _TINY = torch.finfo(torch.float64).tiny
 # Where a face is integrated along its sides, in its sizes; elsewhere at 7 points.
@@ -85,10 +84,9 @@ def _by_points(points: Tensor, corners: Tensor, source: Dipole) -> Float64[Tenso
     for one, two, weight in _RULE:
         share = torch.tensor([one, two, 1 - one - two], dtype=torch.float64)
         square = ((points - torch.einsum("k,kip->ip", share, corners)) ** 2).sum(0)
-        for colour in range(len(source.real)):
-            value = profile_of(square, source, colour).mul_(area)
-            for corner in range(3):
-                found[colour, corner].add_(value, alpha=weight * float(share[corner]))
+        value = source.at_square(square).T * area
+        for corner in range(3):
+            found[:, corner].add_(value, alpha=weight * float(share[corner]))
     return found
 
 

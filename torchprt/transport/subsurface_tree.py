@@ -24,13 +24,15 @@ class Tree:
     """A full binary tree of clusters of points that have an area, and below it the points themselves.
 
     Items are the `2 leaves - 1` clusters, level by level from the one of all, then the points in the order of the
-    leaves: `centre [I, 3]` (area-weighted), `radius [I]` about it, `size [I]` of the largest face. `order [n]` is the
-    point of each place, some of them twice so that all leaves are full; those have a `share` of 0, others 1."""
+    leaves: `centre [I, 3]` (of the area), `radius [I]` of the middles of faces about it, `moments [I, 6]`, the
+    covariance of the area (xx, yy, zz, xy, xz, yz), and `size [I]` of the largest face. `order [n]` is the face of each
+    place, some of them twice so that all leaves are full; those have a `share` of 0, others 1."""
 
     order: Int64[Tensor, "n"]
     share: Float64[Tensor, "n"]
     centre: Float64[Tensor, "I 3"]
     radius: Float64[Tensor, "I"]
+    moments: Float64[Tensor, "I 6"]
     size: Float64[Tensor, "I"]
     leaves: int
 
@@ -69,25 +71,38 @@ def padded(count: int, leaf: int) -> tuple[int, int]:
     return leaves, leaves * -(-count // leaves)
 
 
-def tree_of(points: Float64[Tensor, "p 3"], area: Float64[Tensor, "p"], size: Float64[Tensor, "p"]) -> Tree:
-    """The tree of points with an area and a size each."""
-    leaves, full = padded(len(points), LEAF)
-    place = torch.arange(full) % len(points)
-    order = halved(points[place], leaves).flatten()
-    share = (order < len(points)).double()
+def tree_of(corners: Float64[Tensor, "f 3 3"], area: Float64[Tensor, "f"], size: Float64[Tensor, "f"]) -> Tree:
+    """The tree of faces with an area and a size each."""
+    leaves, full = padded(len(corners), LEAF)
+    place = torch.arange(full) % len(corners)
+    middle = corners.mean(1)
+    order = halved(middle[place], leaves).flatten()
+    share = (order < len(corners)).double()
     order = place[order]
-    middle, weight, largest = points[order], area[order] * share, size[order]
-    centres, radii, sizes = [middle], [torch.zeros(full, dtype=torch.float64)], [largest]
-    count = leaves
+    weight, centre = area[order] * share, middle[order]
+    # Of a triangle: a twelfth of the sum over its corners.
+    moments = _products(corners[order] - centre[:, None]).sum(1) / 12
+    centres, radii, all_moments, sizes = [centre], [torch.zeros(full, dtype=torch.float64)], [moments], [size[order]]
+    below, count = centre, leaves
     while count:
-        some, heavy = middle.view(count, -1, 3), weight.view(count, -1, 1)
+        heavy = weight.view(count, -1, 1)
         whole = heavy.sum(1)
-        centre = torch.where(whole > 0, (some * heavy).sum(1) / whole.clamp(min=1e-300), some.mean(1))
+        heavy = torch.where(whole[:, None] > 0, heavy / whole.clamp(min=1e-300)[:, None], 1 / heavy.shape[1])
+        below, moments = below.view(count, -1, 3), moments.view(count, -1, 6)
+        centre = (below * heavy).sum(1)
+        moments = ((moments + _products(below - centre[:, None])) * heavy).sum(1)
         centres.append(centre)
-        radii.append((some - centre[:, None]).norm(dim=-1).amax(1))
-        sizes.append(largest.view(count, -1).amax(1))
+        all_moments.append(moments)
+        radii.append((middle[order].view(count, -1, 3) - centre[:, None]).norm(dim=-1).amax(1))
+        sizes.append(size[order].view(count, -1).amax(1))
+        below, weight = centre, whole[:, 0]
         count //= 2
-    return Tree(order, share, torch.cat(centres[::-1]), torch.cat(radii[::-1]), torch.cat(sizes[::-1]), leaves)
+    return Tree(order, share, *(torch.cat(each[::-1]) for each in (centres, radii, all_moments, sizes)), leaves)
+
+
+def _products(vectors: Float64[Tensor, "*batch 3"]) -> Float64[Tensor, "*batch 6"]:
+    x, y, z = vectors.unbind(-1)
+    return torch.stack([x * x, y * y, z * z, x * y, x * z, y * z], -1)
 
 
 def gathered_from(
@@ -111,7 +126,7 @@ def gathered_from(
     while len(blocks):
         apart = (centre[blocks] - tree.centre[items]).norm(dim=-1) - radius[blocks]
         nearest = (apart - tree.radius[items]).clamp(min=0)
-        large, middle = source.at_square(nearest**2), source.at_square(apart.clamp(min=0) ** 2)
+        large, middle = source.at_square(nearest**2), source.at_square((nearest + tree.radius[items]) ** 2)
         takes = ((large <= (1 + spread) * middle) | (large <= least)).all(-1)
         takes &= nearest**2 + shallow >= (NEAR * tree.size[items]) ** 2
         is_leaf = items >= tree.leaves - 1
@@ -131,13 +146,17 @@ def gathered_from(
     return item[order], starts
 
 
-def squares(points: Float[Tensor, "b 3"], centres: Float[Tensor, "t 3"]) -> Float[Tensor, "b t"]:
-    """Square distances, each with the rounding of its own size."""
-    found = torch.zeros(len(points), len(centres), dtype=points.dtype)
-    for axis in range(3):
-        apart = points[:, axis, None] - centres[:, axis]
-        found.addcmul_(apart, apart)
-    return found
+def squares(
+    points: Float[Tensor, "b 3"], centres: Float[Tensor, "t 3"], moments: Float[Tensor, "t 6"]
+) -> tuple[Float[Tensor, "b t"], Float[Tensor, "b t"]]:
+    """Square distances, each with the rounding of its own size, and the vectors along themselves through `moments`."""
+    x, y, z = (points[:, axis, None] - centres[:, axis] for axis in range(3))
+    xx, yy, zz, xy, xz, yz = moments.unbind(-1)
+    along = (x * xx).addcmul_(y, 2 * xy).addcmul_(z, 2 * xz).mul_(x)
+    along.addcmul_((y * yy).addcmul_(z, 2 * yz), y)
+    z.square_()
+    along.addcmul_(z, zz)
+    return z.addcmul_(x, x).addcmul_(y, y), along
 
 
 def close(square: Float[Tensor, "b t"], size: Float[Tensor, "t"], source: Dipole) -> Bool[Tensor, "b t"]:
@@ -145,12 +164,25 @@ def close(square: Float[Tensor, "b t"], size: Float[Tensor, "t"], source: Dipole
     return square + float(source.real.min()) ** 2 < (NEAR * size) ** 2
 
 
-def profile_of(square: Float[Tensor, "b t"], source: Dipole, colour: int) -> Float[Tensor, "b t"]:
-    """`Dipole.at_square` of one colour, in the precision of the distances, without copies."""
+def profile_over(
+    square: Float[Tensor, "b t"], along: Float[Tensor, "b t"], spread: Float[Tensor, "t"], source: Dipole, colour: int
+) -> Float[Tensor, "b t"]:
+    """The mean of the profile of one colour over items, to the second order of their extent.
+
+    With s the square of a distance, R the profile, x - c from the middle of an item with covariance S, `along` = (x -
+    c) S (x - c) and `spread` the trace of S: R(s) + R'(s) tr S + 2 R''(s) (x - c) S (x - c). Of one point of light R is
+    z e^(-a) (1 + a) / d^3 with d^2 = s + z^2 and a = decay d; its derivatives are -z e^(-a) (3 + 3 a + a^2) / (2 d^5)
+    and z e^(-a) (15 + 15 a + 6 a^2 + a^3) / (4 d^7).
+    """
     decay, found = float(source.decay[colour]), torch.zeros_like(square)
     for depth in (float(source.real[colour]), float(source.virtual[colour])):
-        from_source = (square + depth**2).sqrt_()
-        fallen = (from_source * -decay).exp_()
-        fallen.mul_(from_source.mul(decay).add_(1)).div_(from_source.pow(3))
-        found.add_(fallen, alpha=depth * float(source.albedo[colour]) / (4 * torch.pi))
+        inverse = (square + depth**2).rsqrt_()
+        a = inverse.reciprocal().mul_(decay)
+        fallen = torch.exp(-a)
+        inverse2 = inverse.square()
+        fallen.mul_(inverse).mul_(inverse2)
+        # From the highest power down.
+        bent = (a + 6).mul_(a).add_(15).mul_(a).add_(15).mul_(along).mul_(inverse2)
+        bent.sub_((a + 3).mul_(a).add_(3).mul_(spread)).mul_(inverse2).mul_(0.5)
+        found.addcmul_(fallen, bent.add_(a).add_(1), value=depth * float(source.albedo[colour]) / (4 * torch.pi))
     return found
