@@ -11,7 +11,7 @@ from .height_field import height_field, read_heights, tiled
 from .material import Material
 from .material_file import read_material
 from .mesh import Mesh, make_mesh
-from .object import Object, TangentWarning
+from .object import Object, SubsurfaceWarning, TangentWarning
 from .paint import Paint
 from .points import Points
 from .reading import read_mesh
@@ -37,6 +37,7 @@ __all__ = [
     "Rig",
     "Scene",
     "Subsurface",
+    "SubsurfaceWarning",
     "Surface",
     "TangentWarning",
     "bend",
