@@ -50,7 +50,7 @@ def behind(strength: float = 5.0) -> preview.Environment:
 
 def picture(transfer: Transfer, environment: preview.Environment, direction: tuple[float, float, float]) -> Tensor:
     studio = preview.Studio(transfer, shader(transfer), environment, size=SIZE, samples=9, exposure=0.0)
-    return studio.picture(preview.frame(transfer.positions, direction, aspect=SIZE[0] / SIZE[1]))
+    return studio.picture(preview.frame(transfer.positions, direction, aspect=SIZE[0] / SIZE[1]), torch.eye(3))
 
 
 def heads() -> None:
