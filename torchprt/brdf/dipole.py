@@ -56,7 +56,7 @@ class Dipole:
 
     def at_square(self, square: Float[Tensor, "*batch"]) -> Float64[Tensor, "*batch C"]:
         """`profile` of the square of a distance."""
-        found = 0
+        found = torch.zeros(1, dtype=torch.float64)
         for depth in (self.real, self.virtual):
             to_source = torch.sqrt(square[..., None] + depth**2)
             fallen = torch.exp(-self.decay * to_source)
@@ -67,7 +67,7 @@ class Dipole:
         """What leaves the plane up to a `distance` from the point: the integral of `profile` over the disc.
 
         By z e^(-s d) / d, whose derivative along d is the integrand."""
-        found = 0
+        found = torch.zeros(1, dtype=torch.float64)
         for depth in (self.real, self.virtual):
             to_source = torch.sqrt(distance.to(torch.float64)[..., None] ** 2 + depth**2)
             found = found + torch.exp(-self.decay * depth) - depth / to_source * torch.exp(-self.decay * to_source)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
@@ -90,7 +88,6 @@ def _by_points(points: Tensor, corners: Tensor, source: Dipole) -> Float64[Tenso
     return found
 
 
-@lru_cache(maxsize=4)
 def _gauss(count: int) -> tuple[list[float], list[float]]:
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return nodes.tolist(), weights.tolist()
