@@ -31,9 +31,10 @@ ORDER = 6
 JADE = "subsurface:0.45,0.75,0.5,0.032,0.0035,0.018,1.6"
 # A unit of the head is so many mm: it is a figure 59 mm tall.
 FIGURE = 25
+VERTICES = 9_000
 
 
-def baked(mesh: Mesh, material: Material, rays: int = 512) -> Transfer:
+def baked(mesh: Mesh, material: Material, rays: int = 256) -> Transfer:
     start = time.perf_counter()
     found = bake(Scene([Object(mesh, material)]), order=ORDER, rays=rays, bounces=1, progress=False)
     print(f"{found}, {time.perf_counter() - start:.0f} s")
@@ -56,7 +57,7 @@ def picture(transfer: Transfer, environment: preview.Environment, direction: tup
 
 def heads() -> None:
     """Plain diffuse beside three media, lit from behind."""
-    mesh, lit = samples.head(18_000).objects[0].mesh, behind()
+    mesh, lit = samples.head(VERTICES).objects[0].mesh, behind()
     marble = MATERIALS["marble"]
     materials = {
         "plain diffuse, as bright as marble": Material((marble.entering * marble.reflectance).float()),
@@ -70,7 +71,7 @@ def heads() -> None:
 
 def sizes() -> None:
     """One head of skin in three sizes."""
-    mesh, lit = samples.head(18_000).objects[0].mesh, behind()
+    mesh, lit = samples.head(VERTICES).objects[0].mesh, behind()
     pictures = [
         picture(baked(mesh, Material(subsurface="skin2", millimetres=scale)), lit, (0.35, 0.1, 1.0))
         for scale in (8, 25, 100)
@@ -79,7 +80,7 @@ def sizes() -> None:
     preview.save_png(preview.sheet(pictures, captions, columns=3), FOLDER / "subsurface_sizes.png")
 
 
-def leaf(thickness: float | None, resolution: int = 56) -> Mesh:
+def leaf(thickness: float | None, resolution: int = 40) -> Mesh:
     """A leaf in the plane of x and y: a sheet, or a body of a thickness at its midrib that thins toward the rim."""
     ticks = torch.linspace(-1, 1, resolution, dtype=torch.float64)
     u, v = torch.meshgrid(ticks, ticks, indexing="xy")
@@ -106,7 +107,7 @@ def thin() -> None:
     """What a membrane and what diffusion make of a leaf, and of a body."""
     lit, green = behind(), (0.25, 0.5, 0.1)
     medium = "subsurface:1.6,2.0,1.2,0.12,0.022,0.35,1.4"
-    mesh = samples.head(18_000).objects[0].mesh
+    mesh = samples.head(VERTICES).objects[0].mesh
     ball = {"translucency": 0.7}
     made = {
         "leaf, membrane": (leaf(None), Material(green, **ball)),

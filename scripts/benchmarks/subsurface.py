@@ -64,9 +64,9 @@ def main() -> None:
         whole = times["all"] * ONE_IN
         print(
             f"{mesh.name}, {len(places)} vertices, {name}: edge {float(body.size.median()):.2f} mm, paths "
-            f"{prepared:.1f} s, gather {gathered:.1f} s ({items:.0f} items a block, of {len(everything)} faces); face by "
-            f"face {whole:.0f} s ({times['all'] / times['clusters']:.0f} times), with what is near "
-            f"{(whole + prepared) / (gathered + prepared):.0f} times; apart {(square / total) ** 0.5:.2%} (RMS)"
+            f"{prepared:.1f} s, gather {gathered:.1f} s ({items:.0f} items a block, of {len(everything)} faces); face "
+            f"by face {whole:.0f} s ({times['all'] / times['clusters']:.0f} times), with what is near "
+            f"{(whole + prepared) / (gathered + prepared):.0f} times; apart {(square / total) ** 0.5:.1e} (RMS)"
         )
 
 

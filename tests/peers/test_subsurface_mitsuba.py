@@ -1,8 +1,8 @@
 """How far is diffusion by the dipole from paths that scatter in a body, of a package that no one here wrote?
 
-What differs is the model, and the test says by how much: the dipole is a solution for a flat half-space, where nothing is
-known but diffusion. Of a ball of 16 mean free paths that is lit mostly from above it is a fifth too dark at the top and a
-third at the bottom, in the right order.
+What differs is the model, and the test says by how much: the dipole is a solution for a flat half-space, where nothing
+is known but diffusion. Of a ball of 16 mean free paths that is lit mostly from above it is a fifth too dark at the top
+and a third at the bottom, in the right order.
 """
 
 import math
