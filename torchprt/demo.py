@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchprt import light, preview, sh
 from torchprt.files import atomic, make_folder
-from torchprt.scene import Material, samples
+from torchprt.scene import Material, Object, Scene, samples
 from torchprt.shade import display, local_light_shader, shader
 from torchprt.transfer import Transfer, save
 from torchprt.transport import bake, bake_neighbourhood, bake_volume
@@ -108,6 +108,8 @@ def _beyond(folder: Path, sculpture: Transfer, say: Say) -> None:
     say(f"A cloud of {count(over_land.vertices, 'cell')} over land: cloud.safetensors, land.safetensors, cloud.png")
     preview.save_png(nearby(sculpture), folder / "lamps.png")
     say("Two lamps nearby, one light for all and one for each of 16 places: lamps.png")
+    preview.save_png(from_behind(), folder / "marble.png")
+    say("A small head of plaster, marble and skin, lit from behind: marble.png")
 
 
 def caustics(transfer: Transfer) -> Tensor:
@@ -156,6 +158,23 @@ def under_cloud(cloud: Transfer, land: Transfer) -> Tensor:
     yaws = [0.0, 120.0, 240.0]
     pictures = [studio.picture(camera, sh.yaw_pitch_roll(torch.tensor([yaw, 0.0, 0.0]))) for yaw in yaws]
     return preview.sheet(pictures, [f"yaw {yaw:.0f}" for yaw in yaws], columns=3)
+
+
+def from_behind() -> Tensor:
+    """A head as tall as a thumb, with a lamp behind it: plain diffuse, and two media that light diffuses in."""
+    mesh = samples.head(6_000).objects[0].mesh
+    lamp = light.disc((-0.45, 0.5, -1.0), math.radians(14), (5.0, 4.8, 4.5), GLOSS, normalise=True)
+    lit = (sh.window(lamp, sh.hann(2 * GLOSS)[:GLOSS]) + light.constant((0.06, 0.07, 0.09), GLOSS)).float()
+    pictures = []
+    for material in (
+        Material(0.75),
+        Material(subsurface="marble", millimetres=25),
+        Material(subsurface="skin1", millimetres=25),
+    ):
+        transfer = bake(Scene([Object(mesh, material)]), order=GLOSS, rays=256, bounces=0, progress=False)
+        still = preview.Still(transfer.positions, transfer.faces, size=SIZE)
+        pictures.append(still.picture(_shade(transfer, lit).clamp(min=0), exposure=0.0))
+    return preview.sheet(pictures, ["plain diffuse", "marble", "skin"], columns=3)
 
 
 def nearby(transfer: Transfer) -> Tensor:

@@ -91,6 +91,8 @@ def _text(path: Path) -> list[str]:
         lines.append(f"Gloss {material.brdf.spec}, specular {_numbers(material.specular)}")
     if material.translucency:
         lines.append(f"Translucency {material.translucency:g}, both sides record.")
+    if material.medium is not None:
+        lines.append(f"Subsurface {material.medium.text}, a unit is {material.millimetres:g} mm.")
     if material.two_sided:
         lines.append("Both sides reflect.")
     return lines

@@ -11,18 +11,20 @@ from .height_field import height_field, read_heights, tiled
 from .material import Material
 from .material_file import read_material
 from .mesh import Mesh, make_mesh
-from .object import Object, TangentWarning
+from .object import Object, SubsurfaceWarning, TangentWarning
 from .paint import Paint
 from .points import Points
 from .reading import read_mesh
 from .rig import Rig
 from .scene import Requirements, Scene, is_scene, load, load_objects, mirror_of
 from .scene_file import read_scene
+from .subsurface import MATERIALS, Subsurface, read_subsurface
 from .surface import Look, Surface, read_surface, texture_albedo
 from .volume import Volume
 from .volume_reading import read_volume
 
 __all__ = [
+    "MATERIALS",
     "EnergyWarning",
     "Geometry",
     "Glosses",
@@ -36,6 +38,8 @@ __all__ = [
     "Requirements",
     "Rig",
     "Scene",
+    "Subsurface",
+    "SubsurfaceWarning",
     "Surface",
     "TangentWarning",
     "Volume",
@@ -52,6 +56,7 @@ __all__ = [
     "read_material",
     "read_mesh",
     "read_scene",
+    "read_subsurface",
     "read_surface",
     "read_volume",
     "samples",

@@ -12,6 +12,7 @@ from torchprt.brdf import Brdf
 
 from .material import differs
 from .object import Object
+from .subsurface import Subsurface
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,8 @@ class Geometry:
     """Of the mesh of each object of the scene."""
     roles: tuple[str, ...]
     """Of each object of the scene."""
+    media: tuple[tuple[Subsurface, float] | None, ...]
+    """For each object of the scene the medium below its surface and how many mm a unit is; None without."""
     tangent_fields: tuple[str, ...]
     """For each object of the scene where its tangents come from: "uv", "smooth", or "" if it is not glossy."""
 
@@ -146,8 +149,14 @@ def gather(objects: Sequence[Object]) -> Geometry:
         mirror_normals=torch.cat([object.mesh.normals for object in objects]) if mirrors else none,
         names=tuple(object.mesh.name for object in objects),
         roles=tuple(object.role for object in objects),
+        media=tuple(_medium(object) for object in objects),
         tangent_fields=tuple(object.tangent_field for object in objects),
     )
+
+
+def _medium(object: Object) -> tuple[Subsurface, float] | None:
+    medium, millimetres = object.material.medium, object.material.millimetres
+    return None if medium is None or millimetres is None or not object.receives else (medium, float(millimetres))
 
 
 def _used(object: Object, which: Int64[Tensor, "g"]) -> list[Brdf]:

@@ -13,6 +13,7 @@ from torchprt.errors import InputError
 from .energy import check_balance
 from .glosses import Glosses
 from .mesh import Mesh
+from .subsurface import Subsurface, read_subsurface
 
 Albedo = float | int | Sequence[float] | Float[Tensor, "..."] | str
 """One number, three numbers (linear RGB), a tensor [V, 1] or [V, 3], or "vertex" for the colours of the mesh."""
@@ -37,6 +38,11 @@ class Material:
     grazing angles it rises to 1. Nothing is recorded on a mirror, light goes on from both of its sides; it has neither
     albedo nor gloss. Source: Sloan, Kautz and Snyder 2002, section 5.
 
+    `subsurface` is a medium below the surface, or its text as `read_subsurface` takes it ("marble", "skin1"): light
+    that arrives diffuses in the body and leaves it elsewhere. `millimetres` says how many of them a unit of the mesh
+    is: 1000 for glTF, which is in metres; nothing is assumed. The albedo is then a tint of what leaves, 1 by default; a
+    gloss may lie over it. Source: Jensen, Marschner, Levoy and Hanrahan 2001; Sloan, Hall, Hart and Snyder 2003, 3.1.
+
     Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.
     Raises InputError if a number is outside [0, 1], not a number, or of another shape, if the gloss is not known or
     creates energy, if all parts together do (`vertex` albedo: when the `Object` is made), or if specular is given
@@ -49,6 +55,8 @@ class Material:
     specular: Albedo = 1.0
     translucency: float | int = 0.0
     mirror: float | int | Sequence[float] | Float[Tensor, "C"] | None = None
+    subsurface: Subsurface | str | None = None
+    millimetres: float | int | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -56,8 +64,10 @@ class Material:
             object.__setattr__(self, "gloss", parse(self.gloss))
         if self.mirror is not None:
             self._check_mirror()
+        self._check_subsurface()
         if self.albedo is None:
-            object.__setattr__(self, "albedo", 0.5 if self.gloss is None and self.mirror is None else 0.0)
+            plain = self.gloss is None and self.mirror is None
+            object.__setattr__(self, "albedo", 1.0 if self.medium is not None else 0.5 if plain else 0.0)
         # Written so that NaN is refused too.
         if not 0 <= self.translucency <= 1:
             raise InputError(f"translucency is {self.translucency:g}: give a value in [0, 1]")
@@ -91,6 +101,36 @@ class Material:
         zero = self.albedo is None or (not isinstance(self.albedo, str) and not bool(table(self.albedo).any()))
         if self.gloss is not None or self.translucency or not zero:
             raise InputError("a mirror has neither albedo, gloss nor translucency: leave them out, or the mirror")
+
+    def _check_subsurface(self) -> None:
+        if isinstance(self.subsurface, str):
+            object.__setattr__(self, "subsurface", read_subsurface(self.subsurface))
+        if self.medium is None:
+            if self.millimetres is not None:
+                raise InputError(
+                    "millimetres is given without subsurface, which alone needs it: give a medium too, as marble"
+                )
+            return
+        if self.millimetres is None:
+            raise InputError(
+                f"subsurface {self.medium.text} has lengths in mm, and nothing says how large the mesh is: give "
+                "millimetres, how many of them a unit of the mesh is, 1000 for glTF, which is in metres, or 100 for a "
+                f"head that is 2 units tall and is to be 200 mm; as text, {self.medium.text}@100"
+            )
+        # Written so that NaN is refused too.
+        if not 0 < self.millimetres < float("inf"):
+            raise InputError(f"millimetres is {self.millimetres:g}: give a number above 0")
+        if self.mirror is not None or self.translucency or self.two_sided is not False:
+            raise InputError(
+                "subsurface is for a body with an inside: leave mirror, translucency (which is for thin sheets) and "
+                "two_sided out"
+            )
+
+    @property
+    def medium(self) -> Subsurface | None:
+        """The medium below its surface; None without one."""
+        # Text has become a medium when the material was made.
+        return None if isinstance(self.subsurface, str) else self.subsurface
 
     @property
     def reflectance(self) -> Float32[Tensor, "1 C"] | None:
@@ -136,6 +176,8 @@ class Material:
 
         "vertex" counts as coloured until an `Object` has met the mesh.
         """
+        if self.medium is not None:
+            return True
         if self.gloss is not None and differs(table(_numbers(self.specular), "specular")):
             return True
         return isinstance(self.albedo, str) or differs(table(_numbers(self.albedo)))
@@ -169,6 +211,9 @@ class Material:
 
     def _check_balance(self, albedo: Float32[Tensor, "rows C"], name: str) -> None:
         weight = table(_numbers(self.specular), "specular")
+        if self.medium is not None:
+            leaving = self.medium.entering * self.medium.reflectance.float()
+            albedo = albedo * (leaving if albedo.shape[1] == 3 else leaving.max())
         if isinstance(self.gloss, Glosses):
             label = self.gloss.of_vertex
             for number, brdf in enumerate(self.gloss.models):

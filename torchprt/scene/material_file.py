@@ -14,9 +14,10 @@ from torchprt.errors import InputError
 from torchprt.suffixes import check_readable
 
 from .material import Material
+from .subsurface import MATERIALS, WORD
 from .toml_file import colour, number, only, read_toml
 
-KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated", "mirror")
+KEYS = ("albedo", "two_sided", "translucency", "specular", "gloss", "tabulated", "mirror", "subsurface", "millimetres")
 
 # Linear RGB along the normal. Source: Akenine-Moeller and others, Real-Time Rendering, fourth edition, table 9.2.
 METALS = {
@@ -28,7 +29,8 @@ METALS = {
     "silver": (0.972, 0.960, 0.915),
 }
 EXAMPLES = (
-    '"phong:40", "ggx:0.3,0.04", "ward:0.1,0.4", "membrane:0.5", "mirror:.95,.64,.54" or the name of a .toml file'
+    '"phong:40", "ggx:0.3,0.04", "ward:0.1,0.4", "membrane:0.5", "mirror:.95,.64,.54", "marble@100" or the name of a '
+    ".toml file"
 )
 
 
@@ -38,10 +40,12 @@ def read_material(text: str | os.PathLike[str]) -> Material:
     - "ggx:0.3,0.04", or any reflectance that `torchprt.brdf.parse` knows: that gloss over a black body.
     - "membrane:0.5": a diffuse sheet of that translucency, albedo .5.
     - "mirror", "mirror:.8", "mirror:.95,.64,.54" (linear RGB along the normal) or "mirror:gold", any of `METALS`.
-    - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror` (as `Material` takes
-      them, a mirror also by its metal) and `gloss`, either text as above or a table of a `model` and its numbers by
-      name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured
-      values as `brdf.Tabulated` takes them, beside the .toml.
+    - "marble@100" or "subsurface:0.74,0.88,1.01,0.032,0.17,0.48,1.3@100": a body of that medium (see
+      `read_subsurface`), of which a unit is 100 mm; with a gloss over it "skin1@100+ggx:0.35,0.03".
+    - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror`, `subsurface`,
+      `millimetres` (as `Material` takes them, a mirror also by its metal) and `gloss`, either text as above or a table
+      of a `model` and its numbers by name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the
+      name of a .npy file of measured values as `brdf.Tabulated` takes them, beside the .toml.
 
     Raises InputError, naming the file and the key, for anything else and as `Material` does.
     """
@@ -58,10 +62,27 @@ def read_material(text: str | os.PathLike[str]) -> Material:
             raise InputError(f"material '{name}' needs its translucency: write it as membrane:0.5") from fault
     if model == "mirror":
         return _mirror(name, numbers)
+    if model == WORD or model.partition("@")[0].partition("+")[0] in MATERIALS:
+        return _body(name)
     try:
         return Material(gloss=parse(name))
     except InputError as fault:
         raise InputError(f"material '{name}' cannot be used, give {EXAMPLES} ({fault})") from fault
+
+
+def _body(name: str) -> Material:
+    body, plus, gloss = name.strip().partition("+")
+    medium, at, millimetres = body.partition("@")
+    try:
+        scale = float(millimetres) if at else None
+    except ValueError as fault:
+        raise InputError(
+            f"material '{name}' has no number behind @: write how many mm a unit of the mesh is, {medium}@100"
+        ) from fault
+    try:
+        return Material(subsurface=medium, millimetres=scale, gloss=gloss if plus else None)
+    except InputError as fault:
+        raise InputError(f"material '{name}': {fault}") from fault
 
 
 def _mirror(name: str, numbers: str) -> Material:
@@ -101,6 +122,12 @@ def given(source: Path, content: dict[str, Any]) -> dict[str, Any]:
         found["specular"] = colour(source, content, "specular")
     if "mirror" in content:
         found["mirror"] = METALS.get(str(content["mirror"])) or colour(source, content, "mirror")
+    if "subsurface" in content:
+        if not isinstance(content["subsurface"], str):
+            raise InputError(f'{source} has subsurface = {content["subsurface"]!r}: give text, "marble"')
+        found["subsurface"] = content["subsurface"]
+    if "millimetres" in content:
+        found["millimetres"] = number(source, "millimetres", content["millimetres"])
     if "translucency" in content:
         found["translucency"] = number(source, "translucency", content["translucency"])
     if "two_sided" in content:

@@ -8,11 +8,18 @@ from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.words import count
 
 from .material import Material, differs
 from .mesh import Mesh
 
 ROLES = ("receiver", "blocker", "ground")
+FAR = 8
+"""Edges so many times the mean free path are warned of."""
+
+
+class SubsurfaceWarning(UserWarning):
+    """A mesh that light cannot diffuse in as its medium has it."""
 
 
 class TangentWarning(UserWarning):
@@ -27,6 +34,8 @@ class Object:
     that pictures are not about: they frame what stands on it. Whatever the role, a material that is a mirror records
     nothing: light that meets it goes on.
 
+    Warns (`SubsurfaceWarning`), with the numbers, if there is a medium below the surface and the mesh is open or its
+    edges are far longer than the mean free path, so that it is shaded as a plain diffuse surface.
     Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
     """
@@ -46,6 +55,7 @@ class Object:
             self.material.two_sided_of(self.mesh)
             self.material.gloss_of(self.mesh)
             self.material.check_energy(self.mesh)
+        self._check_body()
         brdf = next((each for each in self.material.glosses if not each.isotropic), None)
         if self.glossy and brdf is not None and self.mesh.tangents is None:
             warnings.warn(
@@ -56,6 +66,35 @@ class Object:
                 TangentWarning,
                 stacklevel=3,
             )
+
+    def _check_body(self) -> None:
+        medium, mesh = self.material.medium, self.mesh
+        if medium is None or not self.receives or self.material.millimetres is None or not len(mesh.faces):
+            return
+        if mesh.report.boundary_edges or mesh.report.inside_out:
+            fault = "is inside out" if mesh.report.inside_out else "is open"
+            warnings.warn(
+                f"{mesh.name} {fault} ({count(mesh.report.boundary_edges, 'edge')} with one face), and light diffuses "
+                f"in a body: {medium.text} is taken to lie behind its surface all the same",
+                SubsurfaceWarning,
+                stacklevel=4,
+            )
+        edge, path = self.median_edge * self.material.millimetres, float(medium.mean_free_path.max())
+        if edge > FAR * path:
+            warnings.warn(
+                f"{mesh.name} has edges of {edge:.3g} mm (median), {edge / path:.0f} times the mean free path of "
+                f"{medium.text}, {path:.2g} mm: it will look as a plain diffuse surface that reflects "
+                f"{', '.join(f'{share:.2f}' for share in medium.reflectance.tolist())} of what enters; check "
+                "millimetres, or use a finer mesh",
+                SubsurfaceWarning,
+                stacklevel=4,
+            )
+
+    @property
+    def median_edge(self) -> float:
+        """Of the sides of its faces, in its units."""
+        corners = self.mesh.positions[self.mesh.faces]
+        return float((corners - corners.roll(1, 1)).norm(dim=-1).median())
 
     @property
     def receives(self) -> bool:
@@ -102,4 +141,4 @@ class Object:
         """Whether light that it reflects changes colour."""
         if self.material.reflectance is not None:
             return differs(self.material.reflectance)
-        return self.receives and (differs(self.albedo) or differs(self.specular))
+        return self.receives and (self.material.medium is not None or differs(self.albedo) or differs(self.specular))

@@ -59,7 +59,12 @@ class Scene:
         """
         if not (bounces >= 0 and (math.isinf(bounces) or bounces == int(bounces))):
             raise InputError(f"bounces is {bounces}: give 0 for shadows alone, a whole number, or infinity")
-        coloured = any(each.coloured for each in self.objects if bounces or each.material.mirror is not None)
+        # Mirrors and media colour light without a bounce.
+        coloured = any(
+            each.coloured
+            for each in self.objects
+            if bounces or each.material.mirror is not None or (each.receives and each.material.medium is not None)
+        )
         kind: Literal["diffuse", "glossy"] = "glossy" if any(each.glossy for each in self.objects) else "diffuse"
         return Requirements(kind=kind, channels=3 if coloured else 1, bounces=bounces)
 
@@ -103,6 +108,13 @@ def _finish(object: Object) -> list[str]:
         lines.append(f"Gloss {', '.join(each.spec for each in object.material.glosses)}, tangents {source}.")
     if object.receives and object.material.translucency:
         lines.append(f"Translucency {object.material.translucency:g}, both sides record.")
+    medium = object.material.medium
+    if object.receives and medium is not None and object.material.millimetres is not None:
+        path = ", ".join(f"{length:.2g}" for length in medium.mean_free_path.tolist())
+        lines.append(
+            f"Subsurface {medium.text}, a unit is {object.material.millimetres:g} mm: mean free path {path} mm, "
+            f"edges {object.median_edge * object.material.millimetres:.2g} mm (median)."
+        )
     return lines
 
 
