@@ -28,9 +28,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
 
     - `mesh`: the file, as `read_mesh` takes it. `role`: "receiver" (default), "blocker" or "ground".
     - `material`: text or the name of a .toml, as `read_material` takes it; beside or instead of it the keys of such a
-      .toml: `albedo`, `specular`, `two_sided`, `translucency`, `gloss`, `tabulated`, `subsurface`, `millimetres`. `material =
-      "file"` and
-      `albedo = "file"` are those of the mesh file; the latter is the default without a gloss, where it has any.
+      .toml: `albedo`, `specular`, `two_sided`, `translucency`, `gloss`, `tabulated`, `subsurface`, `millimetres`.
+      `material = "file"` and `albedo = "file"` are those of the mesh file; the latter is the default without a gloss, where it has any.
     - `scale` (a number above 0), `rotate` ([yaw, pitch, roll] in degrees about +y, +x, +z) and `move` ([x, y, z]), in
       this order, about the origin.
     - `[ground]`: `height` (the lowest point of all receivers by default) and `albedo` (.5).
@@ -73,7 +72,7 @@ def _dressed(source: Path, table: dict[str, Any], role: str) -> Object:
         return Object(_placed(source, table, read_mesh(path)), _material(source, table), role)
     said = {key: value for key, value in table.items() if key in KEYS}
     of_file = {key: table[key] for key in ("albedo", "material") if table.get(key) == "file"}
-    if of_file or not {"albedo", "material", "gloss", "tabulated", "mirror"} & table.keys():
+    if of_file or not {"albedo", "material", "gloss", "tabulated", "mirror", "subsurface"} & table.keys():
         # What the table says beside it replaces what the file says.
         rest = {key: value for key, value in said.items() if key not in of_file}
         if "material" in of_file and {"gloss", "tabulated"} & rest.keys():

@@ -29,8 +29,9 @@ from torchprt.transport.mirrors import warn_of_cut
 from torchprt.transport.points import among, at_points, bake_points
 from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
-from torchprt.transport.solve import solve, surfaces, vertex_receivers
+from torchprt.transport.solve import channels_first, solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
+from torchprt.transport.subsurface import bodies_of, unshadowed_through
 from torchprt.transport.task import CHUNK, Runner
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
@@ -88,6 +89,10 @@ def bake(
     - `visibility_order` (that of the light by default): bands of visibility in the frame "visibility".
     Diffuse and glossy surfaces light each other, from the same rays.
 
+    Light diffuses in the body of a material with `subsurface` and leaves it elsewhere, in three channels (see
+    `Material`); `error` and `signal` of the result are then of what arrives. Points get none of it but what surfaces
+    reflect to them.
+
     Light that meets a mirror goes on from both of its sides, up to `trace.REFLECTIONS` times from mirror to mirror;
     what is cut off then is `cut` of the result, a share of what could arrive, and a `MirrorWarning` above 0.1 %.
 
@@ -120,19 +125,21 @@ def bake(
     elif wanted != Wanted("exit", order, "optimal", None, order):
         raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
     if not shadows:
-        through = membranes if receivers is None else None
+        shown = unshadowed(recorded.receiver_normals, order).T
+        if receivers is None:
+            shown = shown if membranes is None else membranes.through(shown)
+            with Threads(threads or os.cpu_count() or 1) as workers:
+                shown = unshadowed_through(shown, bodies_of(geometry), Stages(workers, Silent()))
+        vectors = channels_first(shown, shown.shape[1] // order**2)
         if is_glossy and (receivers is None or len(recorded.glossy)):
-            return bake_glossy.bake_unshadowed(recorded, wanted, order, through)
-        vectors = unshadowed(recorded.receiver_normals, order)
-        if through is not None:
-            vectors = through.through(vectors.T).T
-        return result.diffuse(recorded, vectors[None], transport="unshadowed")
+            return bake_glossy.bake_unshadowed(recorded, wanted, order, vectors)
+        return result.diffuse(recorded, vectors, transport="unshadowed")
     tracer = Tracer(geometry.positions, geometry.faces)
-    channels = scene.requires(bounces).channels
+    channels, bodies = scene.requires(bounces).channels, bodies_of(geometry)
     everything, validity = vertex_receivers(geometry, tracer), None
     if not raw:
         geometry, everything, validity = with_sight(geometry, tracer, everything)
-    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
+    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough, bodies)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
@@ -240,6 +247,7 @@ def store_of(
         contents += [points.receiver_positions, points.receiver_normals]
         contents += [geometry.albedo, geometry.specular, geometry.translucency]
         parameters["bounces"] = bounces
+        parameters["media"] = repr([each and (each[0].coefficients, each[0].eta, each[1]) for each in geometry.media])
         parameters["enough"] = job.enough
     store = Checkpoint(folder, fingerprint(contents, parameters))
     try:

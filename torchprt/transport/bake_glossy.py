@@ -15,13 +15,11 @@ from torchprt.scene import Geometry
 from torchprt.sh import Projection, exit_count
 from torchprt.transfer import Dense, Diffuse, Exit, Factored, Incident, Layer, Transfer, Vertices, Visibility
 from torchprt.transport import result
-from torchprt.transport.diffuse import unshadowed
 from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import glossy_error_and_signal
 from torchprt.transport.glossy import glossy
 from torchprt.transport.glossy_tasks import GlossyJob
-from torchprt.transport.membrane import Sheets
 from torchprt.transport.receivers import tangent_frames
 from torchprt.transport.rows import Recording
 from torchprt.transport.solve import channels_first
@@ -129,6 +127,7 @@ def finished(
 ) -> Transfer:
     """Transfer of what arrived at the receivers of `geometry`, some of them glossy, with the estimate of its error."""
     job = task.job
+    shown = job.through(solution.arrived.diffuse, stages)
     if not solution.bounces and job.channels > job.surfaces.channels:
         job = dataclasses.replace(job, channels=job.surfaces.channels)
         task = dataclasses.replace(task, job=job)
@@ -138,7 +137,7 @@ def finished(
         wanted,
         task.recording,
         result.vertices(geometry, job.validity),
-        channels_first(job.through(solution.arrived.diffuse), job.channels),
+        channels_first(shown, shown.shape[1] // job.order**2),
         solution.arrived.matrix,
         worst,
         transport="interreflected" if solution.bounces else "shadowed",
@@ -157,8 +156,8 @@ def finished(
     return transfer
 
 
-def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Sheets | None) -> Transfer:
-    """The closed form at the vertices of a scene that has glossy ones."""
+def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, shown: Tensor) -> Transfer:
+    """The closed form at the vertices of a scene that has glossy ones; `shown [C, N, V]` are its diffuse vectors."""
     worst = warn_of_order(wanted, geometry, order)
     normals = geometry.receiver_normals
     recording = recording_of(wanted, geometry, order)
@@ -171,8 +170,6 @@ def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, sheets: Shee
         for some in torch.nonzero(geometry.gloss_of_glossy == index)[:, 0].split(1 << 12):
             matrix[some] = rows.unshadowed(turned[some])
     matrix[normals[geometry.glossy].abs().sum(-1) == 0] = 0
-    vectors = unshadowed(normals, order).T
-    shown = (vectors if sheets is None else sheets.through(vectors)).T[None]
     receivers = result.vertices(geometry)
     return _transfer(geometry, wanted, recording, receivers, shown, matrix, worst, transport="unshadowed")
 
@@ -193,13 +190,13 @@ def _transfer(
         diffuse = Dense(values=shown.contiguous())
         layers["diffuse"] = Diffuse(albedo=result.uniform(geometry.albedo), signal=diffuse)
     if len(geometry.glossy):
-        layer = _eye_layer(geometry, wanted, recording, shown.shape[0], arrived, worst)
+        layer = _eye_layer(geometry, wanted, recording, arrived, worst)
         layers[layer.kind] = layer
     return Transfer(receivers=receivers, layers=layers, version=VERSION, **metadata)
 
 
 def _eye_layer(
-    geometry: Geometry, wanted: Wanted, recording: Recording, channels: int, arrived: Tensor, worst: float | None
+    geometry: Geometry, wanted: Wanted, recording: Recording, arrived: Tensor, worst: float | None
 ) -> Layer:
     """The layer of the matrices or the visibility that `arrived [G, R, C * N]`."""
     common: dict[str, Any] = {
@@ -217,8 +214,8 @@ def _eye_layer(
         kernel, degree = on_the_fly(geometry.gloss[0], recording, wanted.output_order, wanted.projection)
         seen = Dense(values=arrived[..., 0].T[None].contiguous())
         return Visibility(signal=seen, kernel=kernel, degree=degree, light_order=recording.order, **exits, **common)
-    columns = arrived.shape[2] // channels
-    matrix = arrived.view(-1, recording.count, channels, columns).permute(2, 0, 1, 3).contiguous()
+    columns = recording.columns
+    matrix = arrived.view(-1, recording.count, arrived.shape[2] // columns, columns).permute(2, 0, 1, 3).contiguous()
     common["signal"] = Dense(values=matrix)
     if wanted.frame == "incident":
         return Incident(**common)

@@ -14,6 +14,8 @@ from torchprt.transport.diffuse import projection, shadowed
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.membrane import Sheets
 from torchprt.transport.receivers import Receivers
+from torchprt.transport.stages import Stages
+from torchprt.transport.subsurface import Body, diffused
 from torchprt.transport.task import Once, Results, Task
 from torchprt.transport.validity import Validity
 
@@ -34,11 +36,25 @@ class Job:
     sheets: Sheets | None = None
     validity: Validity | None = None
     enough: float = SPENT
+    bodies: tuple[Body, ...] = ()
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
-    def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
-        """What arrives at all receivers, with what shines through membranes."""
-        return arriving if self.sheets is None else self.sheets.through(arriving)
+    @property
+    def changes(self) -> bool:
+        """Whether anything leaves elsewhere than where it arrives."""
+        return self.sheets is not None or bool(self.bodies)
+
+    def through(self, arriving: Float[Tensor, "V W"], stages: Stages) -> Float[Tensor, "V D"]:
+        """What diffuse surfaces reflect of what arrives at all receivers: with what shines through membranes, and what
+        has diffused in bodies. Where there are bodies it has all `channels`, whatever came."""
+        found = arriving if self.sheets is None else self.sheets.through(arriving)
+        if not self.bodies:
+            return found
+        channels = arriving.shape[1] // self.order**2
+        found = found.repeat(1, self.channels // channels)
+        for body in self.bodies:
+            found[body.rows] = diffused(body, arriving[body.rows], channels, stages)
+        return found
 
     def filled(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
         """What arrives at all receivers, in place: those that see nothing have it from their neighbours."""

@@ -37,6 +37,7 @@ from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import exit_radiance, solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
+from torchprt.transport.subsurface import bodies_of
 from torchprt.transport.task import Runner, chunks
 from torchprt.transport.validity import along
 from torchprt.transport.workers import Threads, torch_on_one_thread
@@ -115,7 +116,8 @@ def bake_neighbourhood(
     if count and len(everything):
         geometry, everything, validity = with_sight(geometry, tracer, everything)
     channels, membranes = 3 if coloured else 1, sheets(geometry)
-    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough)
+    bodies = bodies_of(geometry) if count else ()
+    job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough, bodies)
     wanted = Wanted("exit", order, "optimal", None, order) if len(geometry.glossy) else None
     positions = place.positions
     points = among(Points(positions, torch.zeros_like(positions)), geometry)

@@ -53,6 +53,7 @@ def among(points: Points, scene: Geometry) -> Geometry:
         reflectance=torch.zeros(0, 1),
         names=(),
         roles=(),
+        media=(),
         tangent_fields=(),
     )
 
@@ -106,10 +107,10 @@ def bake_points(
 
 
 def _here(job: Job, points: Geometry) -> Job:
-    """The job with points for its receivers. Nothing comes through membranes to them."""
+    """The job with points for its receivers. Nothing comes through membranes or bodies to them."""
     where, normals = points.receiver_positions, points.receiver_normals
     receivers = Receivers(where, normals, job.tracer.origins(where, normals))
-    return dataclasses.replace(job, receivers=receivers, validity=None, sheets=None)
+    return dataclasses.replace(job, receivers=receivers, validity=None, sheets=None, bodies=())
 
 
 def _first(job: Job) -> int:
@@ -133,7 +134,7 @@ def sent_by_glossy(
     found = solve_glossy.solve(task, bounces - 1, stages)
     columns = found.arrived.diffuse.shape[1]
     arrived = solve_glossy.repeated(found.arrived, job.channels * job.order**2 // columns)
-    return task.glossy, exitant(task, arrived), found.bounces + 1, found.cut
+    return task.glossy, exitant(task, arrived, stages), found.bounces + 1, found.cut
 
 
 def _none_glossy(job: Job) -> Glossy:

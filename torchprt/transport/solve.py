@@ -21,7 +21,7 @@ from torchprt.transport.task import chunks
 
 @dataclass
 class Solution:
-    """`transfer [C, N, V]`; `arriving`, the same without what shines through membranes; `exitant [V, C * N]`, what
+    """`transfer [C, N, V]`; `arriving`, the same without what shines through membranes and diffuses in bodies; `exitant [V, C * N]`, what
     its last bounce gathered from (None without one). `cut`: the share of light that was left out among mirrors, None if
     there are none."""
 
@@ -90,7 +90,8 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
     direct = vectors.unflatten(1, direct.shape[:2]).permute(1, 2, 0)
 
     def alone() -> Solution:
-        return Solution(channels_first(job.through(vectors), len(direct)), direct, cut=cut)
+        shown = job.through(vectors, stages)
+        return Solution(channels_first(shown, shown.shape[1] // job.order**2), direct, cut=cut)
 
     if not bounces:
         return alone()
@@ -100,8 +101,10 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
     total = direct.expand(job.channels, -1, -1).permute(2, 0, 1).flatten(1).contiguous()
     scale = exit_radiance(torch.ones(job.channels, job.order**2, 1).expand(-1, -1, len(total)), albedo)
     added, count = total, 0
+    # Of all that has arrived: it is linear, so that every bounce asks for its own alone.
+    leaving = gone = job.through(total, stages)
     while count < bounces:
-        exitant = scale * job.through(added)
+        exitant = scale * gone
         added = torch.empty_like(total)
         for task, found in stages.run(f"bounce {count + 1}", tasks, stages.store, exitant):
             added[task.index] = found["arriving"]
@@ -110,13 +113,15 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
             return alone()
         job.filled(added)
         # The sum of all bounces is one more gather from the sum of all but the last.
-        sent = scale * job.through(total)
+        sent = scale * leaving
         total = total + added
+        gone = job.through(added, stages)
+        leaving = leaving + gone
         count += 1
         if bounces == math.inf and added.norm() <= job.enough * total.norm():
             break
     arriving = channels_first(total, job.channels)
-    shown = arriving if job.sheets is None else channels_first(job.through(total), job.channels)
+    shown = channels_first(leaving, job.channels) if job.changes else arriving
     return Solution(shown, arriving, sent, count, cut)
 
 

@@ -49,10 +49,10 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     direct = [repeated(each, task.job.channels // task.job.surfaces.channels) for each in alone]
     total, added, count = direct[0], direct[0], 0
     while count < bounces:
-        sent = exitant(task, total)
+        sent = exitant(task, total, stages)
         if len(recorded) > 1 and count == bounces - 1:
             break
-        added = _bounce(task, exitant(task, added), recorded[0], stages, count + 1)
+        added = _bounce(task, exitant(task, added, stages), recorded[0], stages, count + 1)
         if bounces == math.inf and not count and not added.norm():
             # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
             return GlossySolution(alone[-1], cut=cut)
@@ -63,18 +63,18 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     if len(recorded) == 1:
         return GlossySolution(total, sent, count, cut)
     # One more gather, into the rows that are wanted.
-    sent = exitant(task, total)
+    sent = exitant(task, total, stages)
     last = _bounce(task, sent, recorded[1], stages, count + 1)
     arrived = Arrived(direct[1].diffuse + last.diffuse, direct[1].matrix + last.matrix)
     return GlossySolution(arrived, sent, count + 1, cut)
 
 
-def exitant(task: GlossyJob, arrived: Arrived) -> Exitant:
+def exitant(task: GlossyJob, arrived: Arrived, stages: Stages) -> Exitant:
     """What all receivers send out of what arrived."""
     channels = task.job.channels
     albedo, specular = _widths(task.albedo, channels), _widths(task.specular, channels)
     columns = arrived.diffuse.shape[1] // channels
-    diffuse = task.job.through(arrived.diffuse) * albedo.repeat_interleave(columns, 1)
+    diffuse = task.job.through(arrived.diffuse, stages) * albedo.repeat_interleave(columns, 1)
     matrix = arrived.matrix * specular.repeat_interleave(columns, 1)[:, None]
     return Exitant(torch.cat([diffuse, matrix.flatten(0, 1)]), math.isqrt(arrived.matrix.shape[1]))
 

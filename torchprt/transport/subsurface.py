@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from torch import Tensor
 
 from torchprt.brdf import Dipole
+from torchprt.scene import Geometry
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface_faces import near_faces, turn_share
 from torchprt.transport.subsurface_tree import (
@@ -159,6 +160,33 @@ def diffused(
         found[paths.blocks[task.index][mine]] += some["leaving"][mine]
     scale = body.entering / found[..., -1:].clamp(min=1)
     return (found[..., :-1] * scale).view(len(found), colours * (light.shape[-1] - 1))
+
+
+def bodies_of(geometry: Geometry) -> tuple[Body, ...]:
+    """The bodies of a scene: the objects that have a medium below their surface."""
+    found = []
+    for number, (medium, rows) in enumerate(zip(geometry.media, geometry.slices, strict=False)):
+        if medium is not None:
+            below, millimetres = medium
+            mine = (geometry.receiver_of_vertex >= rows.start) & (geometry.receiver_of_vertex < rows.stop)
+            places = geometry.positions[mine] - geometry.positions[mine].mean(0)
+            faces = geometry.receiver_of_vertex[geometry.faces[geometry.face_object == number]] - rows.start
+            found.append(
+                Body(torch.arange(rows.start, rows.stop), places * millimetres, faces, below.dipole, below.entering)
+            )
+    return tuple(found)
+
+
+def unshadowed_through(
+    vectors: Float[Tensor, "V W"], bodies: tuple[Body, ...], stages: Stages
+) -> Float[Tensor, "V D"]:
+    """What leaves all receivers of `vectors` of one channel, those of bodies in three colours."""
+    if not bodies:
+        return vectors
+    found = vectors.repeat(1, 3)
+    for body in bodies:
+        found[body.rows] = diffused(body, vectors[body.rows], 1, stages)
+    return found
 
 
 def sum_of_corners(values: Float[Tensor, "v W"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, "f W"]:
