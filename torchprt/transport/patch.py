@@ -127,7 +127,10 @@ def patch_transfer(
         baked = dataclasses.replace(
             arriving,
             receivers=Vertices(positions=receivers.positions, normals=receivers.normals.float(), faces=_none()),
-            layers={"diffuse": _diffusing(mesh, arriving, inside, corners, weights, tiles, threads, progress), **layers},
+            layers={
+                "diffuse": _diffusing(mesh, arriving, inside, corners, weights, tiles, threads, progress),
+                **layers,
+            },
         )
     nearest = _nearest(covered.view(rows, columns))
     return dataclasses.replace(

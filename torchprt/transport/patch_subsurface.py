@@ -41,7 +41,9 @@ class Below:
         return Material((self.medium.reflectance * self.medium.entering).tolist())
 
 
-def below(medium: Subsurface | str | None, millimetres: float | int | None, thickness: float | int | None) -> Below | None:
+def below(
+    medium: Subsurface | str | None, millimetres: float | int | None, thickness: float | int | None
+) -> Below | None:
     """What the arguments of a patch say is below it, None for nothing.
 
     Raises InputError if the text is no medium, or if a length is missing, given without a medium, or not above 0.
