@@ -213,7 +213,7 @@ INSIDE = {
 
 
 def inside() -> Tensor:
-    """A waffle that light diffuses in, on a bent vase, lit from before and from behind: figures 5e and 7c of the paper."""
+    """A waffle that light diffuses in, on a bent vase, from before and from behind: figures 5e and 7c of the paper."""
     mesh = samples.vase(300).objects[0].mesh
     positions = bend(twist(mesh.positions, 0.6, 0.2, 2.0), 0.4, 0.2, 2.0)
     camera = preview.frame(positions, (-0.05, 0.35, 1.0), aspect=0.8)

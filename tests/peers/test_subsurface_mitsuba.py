@@ -1,9 +1,8 @@
 """How far is diffusion from a path tracer that no one here wrote, in a ball of a medium that bends light?
 
-Mitsuba follows light through the medium and its smooth surface; what the surface mirrors is taken off. The dipole is that
-of a half-space: it has no scattering of once alone, and of a ball light leaves by every side, to come back nowhere. So it
-is right where the ball is far larger than light goes, and too dark and too rich in contrast where it is not; those are
-errors of the model, and the bounds here are about what was measured.
+Mitsuba follows light through the medium and its smooth surface; what the surface mirrors is taken off. The dipole is
+that of a half-space. So it is right where the ball is far larger than light goes, and too dark and too rich in contrast
+where it is not: errors of the model. The bounds here are about what was measured.
 """
 
 import math
