@@ -28,8 +28,8 @@ from torchprt.transport.task import Once, Task
 
 BLOCK = 64
 """Vertices that gather from the same clusters, at most."""
-SPREAD = 0.25
-"""How much the profile may change over a cluster, as a share; the error that this leaves is some hundredth of it."""
+SPREAD = 3.0
+"""How much the profile may change over a cluster, as a share; what is left of error is some thousandth of that."""
 
 # Blocks a task, and items at a time: what is between them stays in a core's cache.
 _BLOCKS, _ITEMS = 8, 512
@@ -64,10 +64,10 @@ class Body:
         points = self.positions[vertices]
         middle = points.mean(0)
         moments = tree.moments[items].float()
-        square, along = squares((points - middle).float(), (tree.centre[items] - middle).float(), moments)
+        square, along, vectors = squares((points - middle).float(), (tree.centre[items] - middle).float(), moments)
         # Clusters that are taken as one hold no face that is near.
         size = torch.where(items < tree.clusters, 0, tree.size[items]).float()
-        return Seen(square, along, moments[:, :3].sum(-1), close(square, size, self.source))
+        return Seen(square, along, moments[:, :3].sum(-1), vectors, close(square, size, self.source))
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ class Seen:
     square: Float[Tensor, "b t"]
     along: Float[Tensor, "b t"]
     spread: Float[Tensor, "t"]
+    vectors: list[Float[Tensor, "b t"]]
     near: Bool[Tensor, "b t"]
 
 
@@ -121,18 +122,22 @@ class Reaching(Task):
 
 @dataclass(frozen=True)
 class Gathering(Task):
-    """What is "leaving" `[blocks, b, C, W]` at some blocks, but for what comes from near. `values [C or 1, I, W]`."""
+    """What is "leaving" `[blocks, b, C, W]` at some blocks, but for what comes from near. `values [C or 1, 4, I, W]`:
+    what enters the items, and its first moments along x, y and z."""
 
     def compute(self, body: Body, paths: Paths, values: Tensor) -> dict[str, Tensor]:
         blocks, colours = paths.blocks[self.index], len(body.source.real)
         found = torch.zeros(*blocks.shape, colours, values.shape[-1])
         for number, (vertices, items) in enumerate(zip(blocks, paths.items[self.rows], strict=True)):
             for some in items.split(_ITEMS):
-                seen, sent = body.seen(paths.tree, vertices, some), [each[some] for each in values]
+                seen, sent = body.seen(paths.tree, vertices, some), values[:, :, some]
                 for colour in range(colours):
-                    weights = profile_over(seen.square, seen.along, seen.spread, body.source, colour)
-                    weights.masked_fill_(seen.near, 0)
-                    found[number, :, colour].addmm_(weights, sent[colour % len(sent)])
+                    sums, *firsts = sent[colour % len(sent)]
+                    weights, change = profile_over(seen.square, seen.along, seen.spread, body.source, colour)
+                    found[number, :, colour].addmm_(weights.masked_fill_(seen.near, 0), sums)
+                    change.masked_fill_(seen.near, 0)
+                    for apart, first in zip(seen.vectors, firsts, strict=True):
+                        found[number, :, colour].addmm_(change * apart, first)
         return {"leaving": found}
 
 
@@ -151,8 +156,7 @@ def diffused(
     # A column of ones goes along: it becomes the sum of the weights.
     light = arriving.view(count, channels, -1)
     light = torch.cat([light, torch.ones(count, channels, 1)], -1).permute(1, 0, 2).contiguous()
-    portion = (body.area / 3).float()[:, None]
-    values = torch.stack([paths.tree.sums(sum_of_corners(each, body.faces) * portion) for each in light])
+    values = torch.stack([entering_items(body, paths.tree, each) for each in light])
     near = [matrix @ light[colour % channels].numpy() for colour, matrix in enumerate(paths.near)]
     found = torch.from_numpy(np.stack(near, 1))
     for task, some in stages.run("diffusion", tasks_of(paths.blocks, Gathering), body, paths, values):
@@ -189,8 +193,19 @@ def unshadowed_through(
     return found
 
 
-def sum_of_corners(values: Float[Tensor, "v W"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, "f W"]:
-    return values[faces[:, 0]] + values[faces[:, 1]] + values[faces[:, 2]]
+def entering_items(body: Body, tree: Tree, light: Float[Tensor, "v W"]) -> Float[Tensor, "4 I W"]:
+    """What enters the items of a tree, linear over each face, and its first moments along x, y and z."""
+    corners = body.positions[body.faces]
+    arms = (corners - corners.mean(1, keepdim=True)).to(light.dtype)
+    area = body.area.to(light.dtype)[:, None]
+    sums, firsts = torch.zeros(len(arms), light.shape[1]), torch.zeros(3, len(arms), light.shape[1])
+    for corner in range(3):
+        at = light[body.faces[:, corner]] * area
+        sums.add_(at, alpha=1 / 3)
+        for axis in range(3):
+            firsts[axis].addcmul_(at, arms[:, corner, axis, None], value=1 / 12)
+    total, first = tree.sums(sums, firsts)
+    return torch.cat([total[None], first])
 
 
 def paths_of(body: Body, stages: Stages) -> Paths:

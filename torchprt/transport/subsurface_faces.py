@@ -14,7 +14,7 @@ from torchprt.scene.weld import weld
 
 _TINY = torch.finfo(torch.float64).tiny
 # Where a face is integrated along its sides, in its sizes; elsewhere at 7 points.
-_LINES, _NODES = 1.5, 6
+_LINES, _NODES = 1.2, 6
 _PAIRS = 2048
 """Pairs at a time: what they need stays in a core's cache."""
 # A rule of degree 5 on a triangle: barycentrics of a point of each three, and weights. Source: Radon 1948.

@@ -12,8 +12,10 @@ from torchprt.brdf import Dipole
 
 LEAF = 8
 """Faces in a cluster that is split no further, at most."""
-NEAR = 4.0
+NEAR = 2.0
 """Faces nearer than so many times their size are integrated over; others are a point at their middle."""
+APART = 2.5
+"""Clusters nearer than so many times their radius are split."""
 NOTHING = 1e-4
 """Clusters that cannot send more than this part of the reflectance of a half-space, were all of the body as near, are
 not split for their error."""
@@ -26,7 +28,7 @@ class Tree:
     Items are the `2 leaves - 1` clusters, level by level from the one of all, then the points in the order of the
     leaves: `centre [I, 3]` (of the area), `radius [I]` of the middles of faces about it, `moments [I, 6]`, the
     covariance of the area (xx, yy, zz, xy, xz, yz), and `size [I]` of the largest face. `order [n]` is the face of each
-    place, some of them twice so that all leaves are full; those have a `share` of 0, others 1."""
+    place, some of them twice so that all leaves are full; those have a `share` and a size of 0, others a share of 1."""
 
     order: Int64[Tensor, "n"]
     share: Float64[Tensor, "n"]
@@ -40,15 +42,26 @@ class Tree:
     def clusters(self) -> int:
         return 2 * self.leaves - 1
 
-    def sums(self, values: Float[Tensor, "points W"]) -> Float[Tensor, "I W"]:
-        """Values of all items, each the sum of its points."""
-        points = values[self.order] * self.share.to(values.dtype)[:, None]
-        level = points.view(self.leaves, -1, values.shape[1]).sum(1)
-        levels = [points, level]
-        while len(level) > 1:
-            level = level.view(len(level) // 2, 2, -1).sum(1)
-            levels.append(level)
-        return torch.cat(levels[::-1])
+    def sums(
+        self, values: Float[Tensor, "f W"], firsts: Float[Tensor, "3 f W"]
+    ) -> tuple[Float[Tensor, "I W"], Float[Tensor, "3 I W"]]:
+        """What enters all items: the sums of `values` of their faces, and first moments about their middles, of
+        `firsts` of the faces about their own."""
+        share = self.share.to(values.dtype)[:, None]
+        total, moment = values[self.order] * share, firsts[:, self.order] * share
+        totals, moments, count, width = [total], [moment], self.leaves, values.shape[1]
+        end = len(self.centre) - len(total)
+        centre = self.centre[end:]
+        while count:
+            here = self.centre[end - count : end]
+            arm = (centre.view(count, -1, 3) - here[:, None]).to(values.dtype)
+            total, moment = total.view(count, -1, width), moment.view(3, count, -1, width)
+            moment = moment.sum(2) + torch.einsum("ckx,ckw->xcw", arm, total)
+            total, centre, end = total.sum(1), here, end - count
+            totals.append(total)
+            moments.append(moment)
+            count //= 2
+        return torch.cat(totals[::-1]), torch.cat(moments[::-1], 1)
 
 
 def halved(points: Float64[Tensor, "n 3"], leaves: int) -> Int64[Tensor, "leaves size"]:
@@ -82,7 +95,7 @@ def tree_of(corners: Float64[Tensor, "f 3 3"], area: Float64[Tensor, "f"], size:
     weight, centre = area[order] * share, middle[order]
     # Of a triangle: a twelfth of the sum over its corners.
     moments = _products(corners[order] - centre[:, None]).sum(1) / 12
-    centres, radii, all_moments, sizes = [centre], [torch.zeros(full, dtype=torch.float64)], [moments], [size[order]]
+    centres, radii, all_moments, sizes = [centre], [torch.zeros(full, dtype=torch.float64)], [moments], [size[order] * share]
     below, count = centre, leaves
     while count:
         heavy = weight.view(count, -1, 1)
@@ -116,8 +129,9 @@ def gathered_from(
     """Which items each of B blocks of receivers gathers from: `items`, block after block, and where each begins.
 
     A cluster is taken as one if over its extent the profile changes by at most `spread` of its value at the middle, in
-    every colour, wherever in the block one stands (or cannot matter, see `NOTHING`), and if none of its faces is
-    `NEAR`. So for light that is nowhere negative what is gathered from it errs by at most `spread` of itself.
+    every colour, wherever in the block one stands (or cannot matter, see `NOTHING`), and if neither it nor any of its
+    faces is near (`APART`, `NEAR`, from the depth of the source). For light that is nowhere negative what is gathered
+    from it would so err by at most `spread` of itself if all were at its middle; with its moments it is far less.
     """
     shallow = float(source.real.min()) ** 2
     least = NOTHING * source.total / max(area, 1e-300)
@@ -128,7 +142,7 @@ def gathered_from(
         nearest = (apart - tree.radius[items]).clamp(min=0)
         large, middle = source.at_square(nearest**2), source.at_square((nearest + tree.radius[items]) ** 2)
         takes = ((large <= (1 + spread) * middle) | (large <= least)).all(-1)
-        takes &= nearest**2 + shallow >= (NEAR * tree.size[items]) ** 2
+        takes &= nearest**2 + shallow >= torch.maximum(NEAR * tree.size[items], APART * tree.radius[items]) ** 2
         is_leaf = items >= tree.leaves - 1
         found.append((blocks[takes], items[takes]))
         open_leaf = ~takes & is_leaf
@@ -148,15 +162,16 @@ def gathered_from(
 
 def squares(
     points: Float[Tensor, "b 3"], centres: Float[Tensor, "t 3"], moments: Float[Tensor, "t 6"]
-) -> tuple[Float[Tensor, "b t"], Float[Tensor, "b t"]]:
-    """Square distances, each with the rounding of its own size, and the vectors along themselves through `moments`."""
-    x, y, z = (points[:, axis, None] - centres[:, axis] for axis in range(3))
+) -> tuple[Float[Tensor, "b t"], Float[Tensor, "b t"], list[Float[Tensor, "b t"]]]:
+    """Square distances, each with the rounding of its own size, the vectors along themselves through `moments`, and
+    the vectors, x, y and z."""
+    x, y, z = vectors = [points[:, axis, None] - centres[:, axis] for axis in range(3)]
     xx, yy, zz, xy, xz, yz = moments.unbind(-1)
     along = (x * xx).addcmul_(y, 2 * xy).addcmul_(z, 2 * xz).mul_(x)
     along.addcmul_((y * yy).addcmul_(z, 2 * yz), y)
-    z.square_()
-    along.addcmul_(z, zz)
-    return z.addcmul_(x, x).addcmul_(y, y), along
+    square = z.square()
+    along.addcmul_(square, zz)
+    return square.addcmul_(x, x).addcmul_(y, y), along, vectors
 
 
 def close(square: Float[Tensor, "b t"], size: Float[Tensor, "t"], source: Dipole) -> Bool[Tensor, "b t"]:
@@ -166,15 +181,16 @@ def close(square: Float[Tensor, "b t"], size: Float[Tensor, "t"], source: Dipole
 
 def profile_over(
     square: Float[Tensor, "b t"], along: Float[Tensor, "b t"], spread: Float[Tensor, "t"], source: Dipole, colour: int
-) -> Float[Tensor, "b t"]:
-    """The mean of the profile of one colour over items, to the second order of their extent.
+) -> tuple[Float[Tensor, "b t"], Float[Tensor, "b t"]]:
+    """The mean of the profile of one colour over items, to the second order of their extent, and -2 R' below, which
+    times x - c is how it changes as c does.
 
     With s the square of a distance, R the profile, x - c from the middle of an item with covariance S, `along` = (x -
     c) S (x - c) and `spread` the trace of S: R(s) + R'(s) tr S + 2 R''(s) (x - c) S (x - c). Of one point of light R is
     z e^(-a) (1 + a) / d^3 with d^2 = s + z^2 and a = decay d; its derivatives are -z e^(-a) (3 + 3 a + a^2) / (2 d^5)
     and z e^(-a) (15 + 15 a + 6 a^2 + a^3) / (4 d^7).
     """
-    decay, found = float(source.decay[colour]), torch.zeros_like(square)
+    decay, found, change = float(source.decay[colour]), torch.zeros_like(square), torch.zeros_like(square)
     for depth in (float(source.real[colour]), float(source.virtual[colour])):
         inverse = (square + depth**2).rsqrt_()
         a = inverse.reciprocal().mul_(decay)
@@ -183,6 +199,9 @@ def profile_over(
         fallen.mul_(inverse).mul_(inverse2)
         # From the highest power down.
         bent = (a + 6).mul_(a).add_(15).mul_(a).add_(15).mul_(along).mul_(inverse2)
-        bent.sub_((a + 3).mul_(a).add_(3).mul_(spread)).mul_(inverse2).mul_(0.5)
-        found.addcmul_(fallen, bent.add_(a).add_(1), value=depth * float(source.albedo[colour]) / (4 * torch.pi))
-    return found
+        steep = (a + 3).mul_(a).add_(3).mul_(inverse2)
+        bent.mul_(inverse2).addcmul_(steep, spread, value=-1)
+        fallen.mul_(depth * float(source.albedo[colour]) / (4 * torch.pi))
+        found.addcmul_(fallen, bent.mul_(0.5).add_(a).add_(1))
+        change.addcmul_(fallen, steep)
+    return found, change
