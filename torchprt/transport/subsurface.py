@@ -110,9 +110,7 @@ class Reaching(Task):
         vertices, faces = [], []
         for block, some in enumerate(items.tensor_split(starts[1:-1])):
             near = body.seen(tree, here[block], some).near
-            # Faces that stand in the tree twice, so that its leaves are full, count once.
-            once = (some < tree.clusters) | (tree.share[(some - tree.clusters).clamp(min=0)] > 0)
-            who, what = torch.nonzero(near & once & mine[block][:, None], as_tuple=True)
+            who, what = torch.nonzero(near & mine[block][:, None], as_tuple=True)
             vertices.append(here[block][who])
             faces.append(tree.order[some[what] - tree.clusters])
         vertex, face = torch.cat(vertices), torch.cat(faces)
