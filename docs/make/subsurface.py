@@ -90,12 +90,12 @@ def leaf(thick: float, count: int = 64) -> Mesh:
 def thin_and_thick() -> None:
     """A membrane and diffusion, each on a leaf and on a head, lit from behind."""
     green = (0.35, 0.55, 0.12)
-    medium = "subsurface:1.2,1.6,0.9,0.02,0.004,0.09,1.4"
+    medium = "subsurface:1.2,1.6,0.9,0.1,0.02,0.4,1.4"
     head = samples.head().objects[0].mesh
     found, labels = [], []
-    for mesh, body, view, name in (
-        (leaf(0.0), leaf(0.06), (0.3, 0.2, 1.0), "leaf"),
-        (head, head, (0.25, 0.05, 1.0), "head"),
+    for mesh, body, view, exposure, name in (
+        (leaf(0.0), leaf(0.1), (0.3, 0.2, 1.0), 0.3, "leaf"),
+        (head, head, (0.25, 0.05, 1.0), 1.2, "head"),
     ):
         ways = {
             "diffuse": (mesh, {"albedo": green}),
@@ -103,7 +103,7 @@ def thin_and_thick() -> None:
             "diffusion": (body, {"subsurface": medium, "millimetres": 20.0}),
         }
         for way, (shape, material) in ways.items():
-            found.append(picture(baked(shape, **material), view, (300, 360), behind(0.3), 1.2))
+            found.append(picture(baked(shape, **material), view, (300, 360), behind(0.3), exposure))
             labels.append(f"{name}: {way}")
     save(preview.sheet(found, labels, columns=3), "thin_and_thick.png")
 
