@@ -52,6 +52,8 @@ def sample_scene(scene: Scene, count: int, seed: int = 0) -> tuple[Scene, Int64[
     are fewer receivers that have a normal and a face, and for translucent surfaces, whose sides need each other.
     """
     geometry = scene.geometry()
+    if any(geometry.media):
+        raise InputError("the scene has subsurface scattering, for which a body is needed whole: use it whole")
     if bool((geometry.partner >= 0).any()):
         raise InputError("the scene has translucent surfaces, whose sides need each other: use it whole")
     face = torch.full((geometry.receivers,), -1)

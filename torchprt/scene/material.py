@@ -38,9 +38,9 @@ class Material:
     grazing angles it rises to 1. Nothing is recorded on a mirror, light goes on from both of its sides; it has neither
     albedo nor gloss. Source: Sloan, Kautz and Snyder 2002, section 5.
 
-    `subsurface` is a medium below the surface, or its text as `read_subsurface` takes it ("marble", "skin1"): light that
-    arrives diffuses in the body and leaves it elsewhere. `millimetres` says how many of them a unit of the mesh is: 1000
-    for glTF, which is in metres; nothing is assumed. The albedo is then a tint of what leaves, 1 if it is not given; a
+    `subsurface` is a medium below the surface, or its text as `read_subsurface` takes it ("marble", "skin1"): light
+    that arrives diffuses in the body and leaves it elsewhere. `millimetres` says how many of them a unit of the mesh is:
+    1000 for glTF, which is in metres; nothing is assumed. The albedo is then a tint of what leaves, 1 if not given; a
     gloss may lie over it. Source: Jensen, Marschner, Levoy and Hanrahan 2001; Sloan, Hall, Hart and Snyder 2003, 3.1.
 
     Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.

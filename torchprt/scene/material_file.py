@@ -40,11 +40,11 @@ def read_material(text: str | os.PathLike[str]) -> Material:
     - "ggx:0.3,0.04", or any reflectance that `torchprt.brdf.parse` knows: that gloss over a black body.
     - "membrane:0.5": a diffuse sheet of that translucency, albedo .5.
     - "mirror", "mirror:.8", "mirror:.95,.64,.54" (linear RGB along the normal) or "mirror:gold", any of `METALS`.
-    - "marble@100" or "subsurface:0.74,0.88,1.01,0.032,0.17,0.48,1.3@100": a body of that medium (see `read_subsurface`),
-      of which a unit is 100 mm; with a gloss over it "skin1@100+ggx:0.35,0.03".
+    - "marble@100" or "subsurface:0.74,0.88,1.01,0.032,0.17,0.48,1.3@100": a body of that medium (see
+      `read_subsurface`), of which a unit is 100 mm; with a gloss over it "skin1@100+ggx:0.35,0.03".
     - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror`, `subsurface`,
-      `millimetres` (as `Material` takes them, a mirror also by its metal) and `gloss`, either text as above or a table of a `model` and its numbers by
-      name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured
+      `millimetres` (as `Material` takes them, a mirror also by its metal) and `gloss`, either text as above or a table
+      of a `model` and its numbers by name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured
       values as `brdf.Tabulated` takes them, beside the .toml.
 
     Raises InputError, naming the file and the key, for anything else and as `Material` does.

@@ -34,8 +34,8 @@ class Object:
     that pictures are not about: they frame what stands on it. Whatever the role, a material that is a mirror records
     nothing: light that meets it goes on.
 
-    Warns (`SubsurfaceWarning`), with the numbers, if there is a medium below the surface and the mesh is open or its edges
-    are far longer than the mean free path, so that it is shaded as a plain diffuse surface.
+    Warns (`SubsurfaceWarning`), with the numbers, if there is a medium below the surface and the mesh is open or its
+    edges are far longer than the mean free path, so that it is shaded as a plain diffuse surface.
     Warns (`TangentWarning`) if the gloss is anisotropic and the mesh has neither texture coordinates nor tangents.
     Raises InputError if the role is not known or if the material does not fit the mesh.
     """

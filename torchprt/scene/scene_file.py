@@ -29,7 +29,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     - `mesh`: the file, as `read_mesh` takes it. `role`: "receiver" (default), "blocker" or "ground".
     - `material`: text or the name of a .toml, as `read_material` takes it; beside or instead of it the keys of such a
       .toml: `albedo`, `specular`, `two_sided`, `translucency`, `gloss`, `tabulated`, `subsurface`, `millimetres`.
-      `material = "file"` and `albedo = "file"` are those of the mesh file; the latter is the default without a gloss, where it has any.
+      `material = "file"` and `albedo = "file"` are those of the mesh file; the latter is the default without a gloss,
+      where it has any.
     - `scale` (a number above 0), `rotate` ([yaw, pitch, roll] in degrees about +y, +x, +z) and `move` ([x, y, z]), in
       this order, about the origin.
     - `[ground]`: `height` (the lowest point of all receivers by default) and `albedo` (.5).

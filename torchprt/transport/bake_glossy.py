@@ -195,9 +195,7 @@ def _transfer(
     return Transfer(receivers=receivers, layers=layers, version=VERSION, **metadata)
 
 
-def _eye_layer(
-    geometry: Geometry, wanted: Wanted, recording: Recording, arrived: Tensor, worst: float | None
-) -> Layer:
+def _eye_layer(geometry: Geometry, wanted: Wanted, recording: Recording, arrived: Tensor, worst: float | None) -> Layer:
     """The layer of the matrices or the visibility that `arrived [G, R, C * N]`."""
     common: dict[str, Any] = {
         "receivers": geometry.glossy.to(torch.int32),

@@ -21,7 +21,7 @@ from torchprt.transport.task import chunks
 
 @dataclass
 class Solution:
-    """`transfer [C, N, V]`; `arriving`, the same without what shines through membranes and diffuses in bodies; `exitant [V, C * N]`, what
+    """`transfer [C, N, V]`; `arriving`, what came before membranes and bodies changed it; `exitant [V, C * N]`, what
     its last bounce gathered from (None without one). `cut`: the share of light that was left out among mirrors, None if
     there are none."""
 

@@ -28,7 +28,7 @@ from torchprt.transport.task import Once, Task
 
 BLOCK = 64
 """Vertices that gather from the same clusters, at most."""
-SPREAD = 3.0
+SPREAD = 2.0
 """How much the profile may change over a cluster, as a share; what is left of error is some thousandth of that."""
 
 # Blocks a task, and items at a time: what is between them stays in a core's cache.
@@ -139,9 +139,7 @@ class Gathering(Task):
         return {"leaving": found}
 
 
-def diffused(
-    body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: Stages
-) -> Float[Tensor, "asked D"]:
+def diffused(body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: Stages) -> Float[Tensor, "asked D"]:
     """What leaves the vertices of a body that are asked, as a diffuse surface that reflected all of it would send it.
 
     `arriving` has the coefficients of 1 channel or of one a colour side by side, what leaves of one a colour. Linear. A
@@ -179,9 +177,7 @@ def bodies_of(geometry: Geometry) -> tuple[Body, ...]:
     return tuple(found)
 
 
-def unshadowed_through(
-    vectors: Float[Tensor, "V W"], bodies: tuple[Body, ...], stages: Stages
-) -> Float[Tensor, "V D"]:
+def unshadowed_through(vectors: Float[Tensor, "V W"], bodies: tuple[Body, ...], stages: Stages) -> Float[Tensor, "V D"]:
     """What leaves all receivers of `vectors` of one channel, those of bodies in three colours."""
     if not bodies:
         return vectors

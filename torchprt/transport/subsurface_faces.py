@@ -134,7 +134,7 @@ def over_faces(
 def _lines(
     start: Tensor, length: Tensor, reach: Tensor, height: Tensor, source: Dipole, nodes: int
 ) -> tuple[Float64[Tensor, "C P"], Float64[Tensor, "C 3 P"]]:
-    """The integrals along the sides: of (F - F(0)) / r^2 times `reach`, summed over them, and of F. `height` squared."""
+    """Integrals along the sides: of (F - F(0)) / r^2 times `reach`, summed over them, and of F. `height` is squared."""
     # Nodes where the integrand changes: it is as wide as the distance of the side from the sources.
     width = torch.sqrt(reach**2 + height + float(source.real.min()) ** 2)
     low, high = torch.asinh(start / width), torch.asinh((start + length) / width)

@@ -95,7 +95,12 @@ def tree_of(corners: Float64[Tensor, "f 3 3"], area: Float64[Tensor, "f"], size:
     weight, centre = area[order] * share, middle[order]
     # Of a triangle: a twelfth of the sum over its corners.
     moments = _products(corners[order] - centre[:, None]).sum(1) / 12
-    centres, radii, all_moments, sizes = [centre], [torch.zeros(full, dtype=torch.float64)], [moments], [size[order] * share]
+    centres, radii, all_moments, sizes = (
+        [centre],
+        [torch.zeros(full, dtype=torch.float64)],
+        [moments],
+        [size[order] * share],
+    )
     below, count = centre, leaves
     while count:
         heavy = weight.view(count, -1, 1)
@@ -193,12 +198,13 @@ def profile_over(
     decay, found, change = float(source.decay[colour]), torch.zeros_like(square), torch.zeros_like(square)
     for depth in (float(source.real[colour]), float(source.virtual[colour])):
         inverse = (square + depth**2).rsqrt_()
-        a = inverse.reciprocal().mul_(decay)
+        # Beyond this nothing is left, and powers of it leave the range of float32.
+        a = inverse.reciprocal().mul_(decay).clamp_(max=100)
         fallen = torch.exp(-a)
         inverse2 = inverse.square()
         fallen.mul_(inverse).mul_(inverse2)
         # From the highest power down.
-        bent = (a + 6).mul_(a).add_(15).mul_(a).add_(15).mul_(along).mul_(inverse2)
+        bent = (along * inverse2).mul_((a + 6).mul_(a).add_(15).mul_(a).add_(15))
         steep = (a + 3).mul_(a).add_(3).mul_(inverse2)
         bent.mul_(inverse2).addcmul_(steep, spread, value=-1)
         fallen.mul_(depth * float(source.albedo[colour]) / (4 * torch.pi))
