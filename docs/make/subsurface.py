@@ -1,8 +1,8 @@
-"""Writes the pictures of docs/subsurface.md and prints its tables.
+"""Writes the pictures of docs/subsurface.md.
 
     python docs/make/subsurface.py [NAME ...]
 
-All of them without a name: "heads", "thin_and_thick", "path_tracer" (needs Mitsuba).
+All of them without a name: "heads", "thin_and_thick".
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import torch
 from PIL import Image
 
 from torchprt import light, preview
-from torchprt.measure import Table
-from torchprt.scene import MATERIALS, Material, Mesh, Object, Scene, make_mesh, read_subsurface, samples
-from torchprt.shade import display, shader
+from torchprt.scene import Material, Mesh, Object, Scene, make_mesh, samples
+from torchprt.shade import shader
 from torchprt.transfer import Transfer
 from torchprt.transport import bake
 
@@ -58,7 +57,7 @@ def heads() -> None:
     for name in ("diffuse", *media):
         inside = {"subsurface": media[name], "millimetres": MILLIMETRES} if name in media else {"albedo": 0.6}
         transfer = baked(mesh, **inside)
-        for row, (lit, exposure) in enumerate(((front, 0.6), (behind(), 1.6))):
+        for row, (lit, exposure) in enumerate(((front, 0.3), (behind(), 1.3))):
             pictures[row].append(picture(transfer, (0.25, 0.05, 1.0), (300, 380), lit, exposure))
     labels = [f"{name}, {where}" for where in ("from before", "from behind") for name in ("diffuse", *media)]
     save(preview.sheet([*pictures[0], *pictures[1]], labels, columns=4), "subsurface_heads.png")
