@@ -5,69 +5,17 @@ that of a half-space. So it is right where the ball is far larger than light goe
 where it is not: errors of the model. The bounds here are about what was measured.
 """
 
-import math
-
-import numpy as np
 import pytest
 import torch
-from path_tracer import positive_light, variant, vectors
+from path_tracer import leaving_ball, positive_light, variant
 from trimesh.creation import icosphere
 
-from torchprt import sh
 from torchprt.scene import MATERIALS, Material, Object, Scene, make_mesh
 from torchprt.shade import shader
-from torchprt.transport import bake, frames, hemisphere
+from torchprt.transport import bake
 
 mi = pytest.importorskip("mitsuba", reason="the peer test needs `pip install mitsuba`")
 POINTS, DIRECTIONS, SKIN = 24, 6000, MATERIALS["skin1"]
-
-
-def ball(light, radius, colour):
-    """A ball of one colour of a medium under a light, in Mitsuba."""
-    height, width = 128, 256
-    v, u = torch.meshgrid(
-        (torch.arange(height).double() + 0.5) / height, (torch.arange(width).double() + 0.5) / width, indexing="ij"
-    )
-    theta, phi = math.pi * v, 2 * math.pi * u
-    # Mitsuba's left edge looks along -z, where ours has its centre.
-    sky = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1)
-    image = (sh.basis(sky, math.isqrt(len(light))) @ light)[..., None].expand(-1, -1, 3).float().numpy()
-    scattering, absorption = (float(each[colour]) for each in SKIN.coefficients)
-    medium = {"type": "homogeneous", "phase": {"type": "isotropic"}, "sigma_t": scattering + absorption}
-    medium["albedo"] = scattering / (scattering + absorption)
-    surface = {"type": "dielectric", "int_ior": float(SKIN.eta), "ext_ior": 1.0}
-    body = {"type": "sphere", "radius": radius, "bsdf": surface, "interior": medium}
-    sky = {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image))}
-    return mi.load_dict({"type": "scene", "sky": sky, "body": body})
-
-
-def mirrored(cosine):
-    """Fresnel's reflectance of its surface."""
-    eta = SKIN.eta
-    inside = torch.sqrt(1 - (1 - cosine**2) / eta**2)
-    across = (cosine - eta * inside) / (cosine + eta * inside)
-    along = (eta * cosine - inside) / (eta * cosine + inside)
-    return (across**2 + along**2) / 2
-
-
-def traced(light, radius, colour, normals):
-    """What leaves the inside of the ball at some points, as radiance of a diffuse surface."""
-    local = hemisphere(DIRECTIONS, seed=7).double()
-    away = (local @ frames(normals).double()).reshape(-1, 3)
-    normal = normals.repeat_interleave(DIRECTIONS, 0)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(0, len(away))
-    rays = mi.RayDifferential3f(
-        vectors(mi.Point3f, (radius * (normal + 0.01 * away)).numpy()), vectors(mi.Vector3f, -away.numpy())
-    )
-    integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 16})
-    # Nothing is computed before it is read, which the scene must live to see.
-    world = ball(light, radius, colour)
-    seen, _, _ = integrator.sample(world, sampler, rays)
-    seen = torch.from_numpy(np.array(seen)[0].astype(np.float64)).view(len(normals), DIRECTIONS)
-    reflected = 2 * (away * normal).sum(-1, keepdim=True) * normal - away
-    sky = (sh.basis(reflected, math.isqrt(len(light))) @ light).view(len(normals), DIRECTIONS)
-    return 2 * ((seen - mirrored(local[:, 2]) * sky) * local[:, 2]).mean(1)
 
 
 def test_a_ball_of_skin_beside_a_path_tracer():
@@ -87,7 +35,7 @@ def test_a_ball_of_skin_beside_a_path_tracer():
     plain = ours(1, albedo=1.0)[:, 0]
     found = {}
     for radius, colour in ((8.0, 0), (16.0, 2)):
-        theirs = traced(light, radius, colour, normals)
+        theirs = leaving_ball(mi, light, radius, SKIN, colour, normals, DIRECTIONS)
         diffusing = ours(radius, subsurface=SKIN, millimetres=radius)[:, colour]
         shapes = [each / each.mean() - theirs / theirs.mean() for each in (diffusing, plain)]
         found[colour] = (
