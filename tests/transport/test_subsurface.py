@@ -192,9 +192,8 @@ def test_a_bake_has_the_light_that_diffused_and_it_bounces():
 
 
 def test_a_gloss_lies_over_a_body():
-    scene = Scene(
-        [Object(ball(200), Material(subsurface="marble", millimetres=10, gloss="phong:2", albedo=0.5, specular=0.3))]
-    )
+    said = {"subsurface": "marble", "millimetres": 10, "albedo": 0.5}
+    scene = Scene([Object(ball(200), Material(**said, gloss="phong:2", specular=0.3))])
     transfer = quiet(scene, order=3, shadows=False)
     assert list(transfer.layers) == ["diffuse", "exit"]
     plain = quiet(Scene([Object(ball(200), Material(**said))]), order=3, shadows=False)

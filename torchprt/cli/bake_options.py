@@ -70,8 +70,8 @@ Gloss = Annotated[
     typer.Option(
         "--material",
         rich_help_panel=SCENE,
-        help="phong:40 blinn:40 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 mirror:gold, marble@100 (100 mm a unit), a .toml, "
-        "or file: its own gloss.",
+        help="phong:40 blinn:40 ggx:0.3,0.04 ward:0.1,0.4 membrane:0.5 mirror:gold, marble@100 (100 mm a unit), a "
+        ".toml, or file: its own gloss.",
     ),
 ]
 Specular = Annotated[

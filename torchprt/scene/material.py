@@ -39,8 +39,8 @@ class Material:
     albedo nor gloss. Source: Sloan, Kautz and Snyder 2002, section 5.
 
     `subsurface` is a medium below the surface, or its text as `read_subsurface` takes it ("marble", "skin1"): light
-    that arrives diffuses in the body and leaves it elsewhere. `millimetres` says how many of them a unit of the mesh is:
-    1000 for glTF, which is in metres; nothing is assumed. The albedo is then a tint of what leaves, 1 if not given; a
+    that arrives diffuses in the body and leaves it elsewhere. `millimetres` says how many of them a unit of the mesh
+    is: 1000 for glTF, which is in metres; nothing is assumed. The albedo is then a tint of what leaves, 1 if not given; a
     gloss may lie over it. Source: Jensen, Marschner, Levoy and Hanrahan 2001; Sloan, Hall, Hart and Snyder 2003, 3.1.
 
     Warns (`EnergyWarning`) if more light leaves toward some directions than arrives from a uniform light.

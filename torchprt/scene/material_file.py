@@ -44,8 +44,8 @@ def read_material(text: str | os.PathLike[str]) -> Material:
       `read_subsurface`), of which a unit is 100 mm; with a gloss over it "skin1@100+ggx:0.35,0.03".
     - "leaf.toml": a file of the keys `albedo`, `two_sided`, `translucency`, `specular`, `mirror`, `subsurface`,
       `millimetres` (as `Material` takes them, a mirror also by its metal) and `gloss`, either text as above or a table
-      of a `model` and its numbers by name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the name of a .npy file of measured
-      values as `brdf.Tabulated` takes them, beside the .toml.
+      of a `model` and its numbers by name (`roughness`, `f0`, `exponent`, ...); or instead of `gloss`, `tabulated`, the
+      name of a .npy file of measured values as `brdf.Tabulated` takes them, beside the .toml.
 
     Raises InputError, naming the file and the key, for anything else and as `Material` does.
     """
