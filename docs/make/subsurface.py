@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchprt import light, preview
+from torchprt import light, preview, sh
 from torchprt.progress import Silent
 from torchprt.scene import MATERIALS, Material, Mesh, Object, Scene, make_mesh, samples
 from torchprt.shade import shader
@@ -45,7 +45,8 @@ def behind(strength: float = 5.0) -> preview.Environment:
     lamp = light.disc(
         (-0.45, 0.5, -1.0), math.radians(14), (strength, 0.96 * strength, 0.9 * strength), ORDER, normalise=True
     )
-    return preview.Environment("behind", (lamp + light.constant((0.1, 0.11, 0.13), ORDER)).float())
+    light_of = sh.window(lamp, sh.hann(2 * ORDER)[:ORDER]) + light.constant((0.06, 0.07, 0.09), ORDER)
+    return preview.Environment("behind", light_of.float())
 
 
 def picture(transfer: Transfer, environment: preview.Environment, direction: tuple[float, float, float]) -> Tensor:
