@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from torchprt import sh
+from torchprt.transport import frames, hemisphere
 
 
 def variant(mi):
@@ -174,3 +175,51 @@ def under_lamp(mi, geometry, lamp, albedo, rows, samples=256, seed=0):
 
 def _white(albedo):
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [albedo] * 3}}
+
+
+def _ball(mi, light, radius, medium, colour):
+    """A ball of one colour of a `Subsurface` under a light `[N]`."""
+    height, width = 128, 256
+    v, u = torch.meshgrid(
+        (torch.arange(height).double() + 0.5) / height, (torch.arange(width).double() + 0.5) / width, indexing="ij"
+    )
+    theta, phi = math.pi * v, 2 * math.pi * u
+    # Mitsuba's left edge looks along -z, where ours has its centre.
+    sky = torch.stack([phi.sin() * theta.sin(), theta.cos(), -phi.cos() * theta.sin()], -1)
+    image = (sh.basis(sky, math.isqrt(len(light))) @ light)[..., None].expand(-1, -1, 3).float().numpy()
+    scattering, absorption = (float(each[colour]) for each in medium.coefficients)
+    inside = {"type": "homogeneous", "phase": {"type": "isotropic"}, "sigma_t": scattering + absorption}
+    inside["albedo"] = scattering / (scattering + absorption)
+    surface = {"type": "dielectric", "int_ior": float(medium.eta), "ext_ior": 1.0}
+    body = {"type": "sphere", "radius": radius, "bsdf": surface, "interior": inside}
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image))}
+    return mi.load_dict({"type": "scene", "sky": sky, "body": body})
+
+
+def _mirrored(cosine, eta):
+    """Fresnel's reflectance of a smooth surface."""
+    inside = torch.sqrt(1 - (1 - cosine**2) / eta**2)
+    across = (cosine - eta * inside) / (cosine + eta * inside)
+    along = (eta * cosine - inside) / (eta * cosine + inside)
+    return (across**2 + along**2) / 2
+
+
+def leaving_ball(mi, light, radius, medium, colour, normals, count):
+    """What leaves the inside of a ball of one colour of a `Subsurface` at some points, by `count` paths each, as the
+    radiance `[P]` of a diffuse surface; what its smooth surface mirrors is taken off."""
+    local = hemisphere(count, seed=7).double()
+    away = (local @ frames(normals).double()).reshape(-1, 3)
+    normal = normals.repeat_interleave(count, 0)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, len(away))
+    rays = mi.RayDifferential3f(
+        vectors(mi.Point3f, (radius * (normal + 0.01 * away)).numpy()), vectors(mi.Vector3f, -away.numpy())
+    )
+    integrator = mi.load_dict({"type": "volpath", "max_depth": -1, "rr_depth": 16})
+    # Nothing is computed before it is read, which the scene must live to see.
+    world = _ball(mi, light, radius, medium, colour)
+    seen, _, _ = integrator.sample(world, sampler, rays)
+    seen = torch.from_numpy(np.array(seen)[0].astype(np.float64)).view(len(normals), count)
+    reflected = 2 * (away * normal).sum(-1, keepdim=True) * normal - away
+    sky = (sh.basis(reflected, math.isqrt(len(light))) @ light).view(len(normals), count)
+    return 2 * ((seen - _mirrored(local[:, 2], float(medium.eta)) * sky) * local[:, 2]).mean(1)

@@ -205,6 +205,31 @@ def patches() -> Tensor:
     return preview.sheet(pictures, labels, columns=3)
 
 
+INSIDE = {
+    "diffuse": {"albedo": (0.6, 0.42, 0.32)},
+    "skin, thick": {"subsurface": "skin1", "millimetres": 12.0},
+    "skin, .5 mm at its thinnest": {"subsurface": "skin1", "millimetres": 12.0, "thickness": 0.04},
+}
+
+
+def inside() -> Tensor:
+    """A waffle that light diffuses in, on a bent vase, from before and from behind: figures 5e and 7c of the paper."""
+    mesh = samples.vase(300).objects[0].mesh
+    positions = bend(twist(mesh.positions, 0.6, 0.2, 2.0), 0.4, 0.2, 2.0)
+    camera = preview.frame(positions, (-0.05, 0.35, 1.0), aspect=0.8)
+    still = preview.Still(positions, mesh.faces, size=(320, 400), camera=camera, samples=9)
+    behind = light.disc((0.75, 0.35, -0.6), math.radians(20), 1.1, order=ORDER, normalise=True)
+    lights = {"lit from before": lamps(), "from behind": (behind + light.constant(0.05, order=ORDER)).float()}
+    patches = {name: bake_patch(samples.waffle(48), size=64, rays=512, **how) for name, how in INSIDE.items()}
+    pictures, labels = [], []
+    for where, lit in lights.items():
+        for name, patch in patches.items():
+            laid = lay(patch, mesh.positions.float(), mesh.faces, mesh.uv, repeat=(9, 1.27 * 9), normals=mesh.normals)
+            pictures.append(still.picture(shaded(laid, lit, positions=positions.float())))
+            labels.append(f"{name}, {where}")
+    return preview.sheet(pictures, labels, columns=3)
+
+
 GROOVES, DEEP = 20, 0.35
 
 
@@ -423,7 +448,7 @@ TABLES = {
     "between": between,
     "resolution": resolution,
 }
-PICTURES = {"deformed": deformed, "patches": patches, "wrinkled": wrinkled, "pixels": pixels}
+PICTURES = {"deformed": deformed, "patches": patches, "inside": inside, "wrinkled": wrinkled, "pixels": pixels}
 ANIMATIONS = {"bending": bending, "flapping": flapping}
 
 

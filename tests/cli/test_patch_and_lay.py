@@ -63,6 +63,9 @@ def test_options_change_the_patch(done, made, tmp_path):
         (["patch", "missing.png", "-o", "p.safetensors"], ["missing.png"]),
         (["patch", "ball.ply", "-o", "p.safetensors"], ["must fill the unit square"]),
         (["patch", "ball.ply", "--depth", "1", "-o", "p.safetensors"], ["--depth is for images"]),
+        (["patch", "bump.png", "--subsurface", "marble", "-o", "p.safetensors"], ["by millimetres how wide a tile is"]),
+        (["patch", "bump.png", "--subsurface", "stone", "-o", "p.safetensors"], ["'stone' is no medium", "marble"]),
+        (["patch", "bump.png", "--thickness", "0.1", "-o", "p.safetensors"], ["thickness is given without subsurface"]),
         (["patch", "bump.png", "--albedo", "2", "-o", "p.safetensors"], ["[0, 1]"]),
         (["lay", "missing.safetensors", "cylinder.obj", "-o", "c.safetensors"], ["missing.safetensors"]),
         (["lay", "bump.png", "cylinder.obj", "-o", "c.safetensors"], ["bump.png"]),
@@ -120,3 +123,10 @@ def test_a_glossy_patch_is_shown_on_a_mesh_at_every_pixel(done, refused, made, f
     refused("--on is given", arguments=["render", made / "ball.ply", "--on", made / "cylinder.obj", *output])
     refused("--show is sight", arguments=["render", patch, "--on", made / "cylinder.obj", "--show", "sight", *output])
     refused("--factors", arguments=["patch", made / "bump.png", "--factors", "2", "-o", tmp_path / "q.safetensors"])
+
+
+def test_a_patch_that_light_diffuses_in(done, made, tmp_path):
+    inside = ["--subsurface", "skin1", "--millimetres", 10, "--thickness", 0.05]
+    small = ["--size", 6, "--rays", 16, "--order", 3, "--lobes", 1]
+    done("patch", made / "bump.png", "-o", tmp_path / "p.safetensors", *small, *inside)
+    assert load(tmp_path / "p.safetensors").channels == 3

@@ -38,6 +38,14 @@ def patch(
         int | None,
         typer.Option(min=1, max=32, help="Gloss: bands of exit radiance, without factors.", show_default="--order"),
     ] = None,
+    subsurface: Annotated[
+        str | None, typer.Option(help="Instead of an albedo a medium that light diffuses in: marble, skin1, ...")
+    ] = None,
+    millimetres: Annotated[float | None, typer.Option(help="Medium: how many mm a tile is wide.")] = None,
+    thickness: Annotated[
+        float | None,
+        typer.Option(help="Medium: in tiles, where the patch is thinnest; light comes through.", show_default="opaque"),
+    ] = None,
     single: Annotated[bool, typer.Option("--single", help="The patch does not tile: its border goes on.")] = False,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="As many as there are cores by default.")] = None,
@@ -79,6 +87,9 @@ def patch(
                 specular=1.0 if paint is None else paint.specular,
                 factors=few,
                 output_order=output_order,
+                subsurface=subsurface,
+                millimetres=millimetres,
+                thickness=thickness,
                 threads=threads,
                 progress=bar,
             )

@@ -13,12 +13,13 @@ from torchprt.brdf import Brdf
 from torchprt.compression import fit
 from torchprt.errors import InputError
 from torchprt.progress import Report
-from torchprt.scene import Material, Mesh, Object, Points, Scene, make_mesh, tiled
+from torchprt.scene import Material, Mesh, Object, Points, Scene, Subsurface, make_mesh, tiled
 from torchprt.scene.material import Albedo
 from torchprt.trace import Tracer
-from torchprt.transfer import Texels, Transfer, Vertices
+from torchprt.transfer import Dense, Diffuse, Layer, Texels, Transfer, Vertices
 from torchprt.transport.bake import bake
 from torchprt.transport.bake_glossy import Frame
+from torchprt.transport.patch_subsurface import Below, at_vertices, below, leaving
 
 # Half the side of the floor under a patch, in tiles: a ray that leaves a relief of depth .1 sideways and downward meets
 # it unless it sinks less than one part in six hundred.
@@ -67,6 +68,9 @@ def patch_transfer(
     frame: Frame = "exit",
     output_order: int | None = None,
     factors: int | float | None = None,
+    subsurface: Subsurface | str | None = None,
+    millimetres: float | int | None = None,
+    thickness: float | int | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: bool | Report = False,
@@ -83,6 +87,10 @@ def patch_transfer(
     normals are those of the relief; faces join neighbouring texels, also around the square if it tiles. `albedo`,
     `gloss` and `specular` are one paint of the whole patch, as of a `Material`; tangents follow u. With `bounces`
     copies reflect too, the floor is black.
+    `subsurface`: the medium below the relief, as text "marble" (see `read_subsurface`), instead of an albedo: what
+    arrives at its vertices diffuses before it leaves; `millimetres` is how wide a tile is. `thickness`, in tiles, of
+    the patch at its lowest point: light then comes through from a level back, which gets all that is below its horizon.
+    Light that is reflected on between walls meets the reflectance of a half-space of the medium there.
     `order`, `rays`, `bounces`, `shadows`, `frame`, `output_order`, `factors`, `seed`, `threads`, `progress`: as in
     `bake`; visibility cannot be held in lobes. A few factors cost a fit a row each, exit functions 25 at order 5.
     Raises InputError as `bake` and `tiled` do, if `size` is below 2, or if no texel meets the patch.
@@ -93,26 +101,37 @@ def patch_transfer(
     many = tiled(mesh, around) if tiles else mesh
     if frame not in ("exit", "incident"):
         raise InputError(f"frame '{frame}' cannot be held in lobes, which patches are of: give 'exit' or 'incident'")
-    material = Material(albedo, gloss=gloss, specular=specular)
+    inside = below(subsurface, millimetres, thickness)
+    if inside is not None and albedo is not None:
+        raise InputError("albedo and subsurface are both given: the medium has its own colour, leave one of them out")
+    material = Material(0.0 if inside else albedo, gloss=gloss, specular=specular)
     if len(torch.as_tensor(material.albedo_of(mesh)).unique(dim=0)) > 1:
         raise InputError(f"albedo of {mesh.name} differs from vertex to vertex: give one colour for the patch")
-    receivers, covered = _texels(many, rows, columns, material)
+    receivers, covered, corners, weights = _texels(many, rows, columns, material)
     if not bool(covered.any()):
         raise InputError(f"{mesh.name} is beside the unit square of the patch: scale and move it there")
-    baked = bake(
-        Scene([Object(many, material), Object(_floor(many), Material(0.0), "blocker")]),
-        order=order,
-        rays=rays,
-        bounces=bounces,
-        shadows=shadows,
-        receivers=receivers,
-        seed=seed,
-        threads=threads,
-        progress=progress,
-        frame=frame,
-        output_order=output_order,
-        factors=factors,
-    )
+    common: dict[str, Any] = {"order": order, "rays": rays, "bounces": bounces, "shadows": shadows, "seed": seed}
+    common |= {"threads": threads, "progress": progress}
+
+    def recorded(paint: Material, receivers: Points, **options: Any) -> Transfer:
+        floor = Object(_floor(many), Material(0.0), "blocker")
+        return bake(Scene([Object(many, paint), floor]), receivers=receivers, **common, **options)
+
+    paint = material if inside is None else Material(inside.paint.albedo, gloss=gloss, specular=specular)
+    glossy: dict[str, Any] = {"frame": frame, "output_order": output_order, "factors": factors}
+    if inside is None:
+        baked = recorded(paint, receivers, **glossy)
+    else:
+        arriving = recorded(inside.paint, at_vertices(mesh))
+        layers = {} if gloss is None else recorded(paint, receivers, **glossy).layers
+        baked = dataclasses.replace(
+            arriving,
+            receivers=Vertices(positions=receivers.positions, normals=receivers.normals.float(), faces=_none()),
+            layers={
+                "diffuse": _diffusing(mesh, arriving, inside, corners, weights, tiles, threads, progress),
+                **layers,
+            },
+        )
     nearest = _nearest(covered.view(rows, columns))
     return dataclasses.replace(
         baked,
@@ -125,8 +144,32 @@ def patch_transfer(
     )
 
 
-def _texels(mesh: Mesh, rows: int, columns: int, material: Material) -> tuple[Points, Bool[Tensor, "T"]]:
-    """Where the centre of every texel meets the surface from above, and whether it does."""
+def _none() -> Tensor:
+    return torch.zeros(0, 3, dtype=torch.int32)
+
+
+def _diffusing(
+    mesh: Mesh,
+    arriving: Transfer,
+    inside: Below,
+    corners: Int64[Tensor, "T 3"],
+    weights: Float64[Tensor, "T 3 1"],
+    tiles: bool,
+    threads: int | None,
+    progress: bool | Report,
+) -> Layer:
+    """What leaves texels in between vertices, after it has diffused below them."""
+    vectors = arriving.layers["diffuse"].signal.dense().values
+    left = leaving(mesh, vectors, inside, tiles=tiles, threads=threads, progress=progress)
+    # Copies of the tile send what it does.
+    at_corners = left[..., corners % len(mesh.positions)]
+    return Diffuse(albedo=torch.ones(1, 1), signal=Dense(values=(at_corners * weights[..., 0].float()).sum(-1)))
+
+
+def _texels(
+    mesh: Mesh, rows: int, columns: int, material: Material
+) -> tuple[Points, Bool[Tensor, "T"], Int64[Tensor, "T 3"], Float64[Tensor, "T 3 1"]]:
+    """Where the centre of every texel meets the surface from above, whether it does, and between which vertices."""
     top = float(mesh.positions[:, 2].max())
     extent = float((mesh.positions.amax(0) - mesh.positions.amin(0)).max())
     places = texel_centres(rows, columns)
@@ -145,7 +188,7 @@ def _texels(mesh: Mesh, rows: int, columns: int, material: Material) -> tuple[Po
     normals = torch.where(covered[:, None], normals, 0.0)
     albedo = material.albedo_of(mesh)[:1].expand(len(positions), -1)
     along_u = torch.tensor([1.0, 0.0, 0.0]).expand(len(positions), 3)
-    return Points(positions, normals, albedo, material.gloss, material.specular, along_u), covered
+    return Points(positions, normals, albedo, material.gloss, material.specular, along_u), covered, corners, weights
 
 
 def _floor(mesh: Mesh) -> Mesh:

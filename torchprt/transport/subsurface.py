@@ -48,6 +48,8 @@ class Body:
     source: Dipole
     entering: float
     spread: float = SPREAD
+    asked: int | None = None
+    """How many vertices, the first of them, are asked what leaves them; None for all."""
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -137,8 +139,8 @@ class Gathering(Task):
         return {"leaving": found}
 
 
-def diffused(body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: Stages) -> Float[Tensor, "v D"]:
-    """What leaves the vertices of a body, as a diffuse surface that reflected all of it would send it.
+def diffused(body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: Stages) -> Float[Tensor, "asked D"]:
+    """What leaves the vertices of a body that are asked, as a diffuse surface that reflected all of it would send it.
 
     `arriving` has the coefficients of 1 channel or of one a colour side by side, what leaves of one a colour. Linear. A
     row of weights adds up to at most 1: the dipole is that of a half-space, and where a body is thin more would leave
@@ -157,7 +159,7 @@ def diffused(body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: 
         mine = paths.own[task.index]
         found[paths.blocks[task.index][mine]] += some["leaving"][mine]
     scale = body.entering / found[..., -1:].clamp(min=1)
-    return (found[..., :-1] * scale).view(count, colours * (light.shape[-1] - 1))
+    return (found[..., :-1] * scale).view(len(found), colours * (light.shape[-1] - 1))
 
 
 def bodies_of(geometry: Geometry) -> tuple[Body, ...]:
@@ -203,7 +205,8 @@ def entering_items(body: Body, tree: Tree, light: Float[Tensor, "v W"]) -> Float
 def paths_of(body: Body, stages: Stages) -> Paths:
     """How light gets around in a body."""
     tree = tree_of(body.positions[body.faces], body.area, body.size)
-    count = len(body.positions)
+    every = len(body.positions)
+    count = every if body.asked is None else body.asked
     leaves, full = padded(count, BLOCK)
     place = torch.arange(full) % count
     order = halved(body.positions[place], leaves)
@@ -216,7 +219,7 @@ def paths_of(body: Body, stages: Stages) -> Paths:
     parts.sort(key=lambda part: part[0])
     row, column, entry = (torch.cat([found[name] for _, found in parts], -1) for name in ("row", "column", "entry"))
     where = row.numpy(), column.numpy()
-    near = [coo_matrix((each.numpy(), where), (count, count)).tocsr() for each in entry]
+    near = [coo_matrix((each.numpy(), where), (count, every)).tocsr() for each in entry]
     return Paths(tree, blocks, own, items, near)
 
 
