@@ -79,6 +79,13 @@ def test_a_mesh_that_light_cannot_diffuse_in_is_told_with_the_numbers():
         Object(ball(), Material(subsurface="marble", millimetres=1000))
 
 
+def test_a_body_of_one_face_or_none_is_no_fault():
+    one = make_mesh(torch.eye(3).double(), torch.tensor([[0, 1, 2]]))
+    assert bool(through(body_of(one, "skin1"), torch.ones(3, 2)).gt(0).all())
+    none = Body(torch.arange(3), torch.eye(3).double(), torch.zeros(0, 3).long(), MATERIALS["skin1"].dipole, 1.0)
+    assert not through(none, torch.ones(3, 2)).any()
+
+
 def test_faces_without_area_send_nothing():
     mesh = ball(60)
     flat = torch.cat([mesh.faces, torch.tensor([[0, 0, 1], [2, 3, 2]])])
