@@ -29,7 +29,7 @@ FOLDER = Path(__file__).parents[1] / "images"
 SIZE = (300, 340)
 ORDER = 6
 JADE = "subsurface:0.45,0.75,0.5,0.032,0.0035,0.018,1.6"
-# A unit of the head is so many mm: it is a figure 59 mm tall.
+# A unit of the head is so many mm: it is a figure 52 mm tall.
 FIGURE = 25
 VERTICES = 9_000
 
@@ -76,7 +76,7 @@ def sizes() -> None:
         picture(baked(mesh, Material(subsurface="skin2", millimetres=scale)), lit, (0.35, 0.1, 1.0))
         for scale in (8, 25, 100)
     ]
-    captions = [f"{2.35 * scale:.0f} mm tall" for scale in (8, 25, 100)]
+    captions = [f"{2.06 * scale:.0f} mm tall" for scale in (8, 25, 100)]
     preview.save_png(preview.sheet(pictures, captions, columns=3), FOLDER / "subsurface_sizes.png")
 
 
@@ -113,7 +113,7 @@ def thin() -> None:
         "leaf, membrane": (leaf(None), Material(green, **ball)),
         "leaf 1.5 mm thick, diffusion": (leaf(0.05), Material(subsurface=medium, millimetres=30)),
         "body, membrane": (mesh, Material(green, **ball)),
-        "body 59 mm tall, diffusion": (mesh, Material(subsurface=medium, millimetres=FIGURE)),
+        "body 52 mm tall, diffusion": (mesh, Material(subsurface=medium, millimetres=FIGURE)),
     }
     pictures = [picture(baked(*each), lit, (0.35, 0.1, 1.0)) for each in made.values()]
     preview.save_png(preview.sheet(pictures, list(made), columns=4), FOLDER / "subsurface_thin.png")

@@ -126,6 +126,7 @@ class Gathering(Task):
     def compute(self, body: Body, paths: Paths, values: Tensor) -> dict[str, Tensor]:
         blocks, colours = paths.blocks[self.index], len(body.source.real)
         found = torch.zeros(*blocks.shape, colours, values.shape[-1])
+        assert isinstance(self.rows, slice)
         for number, (vertices, items) in enumerate(zip(blocks, paths.items[self.rows], strict=True)):
             for some in items.split(_ITEMS):
                 seen, sent = body.seen(paths.tree, vertices, some), values[:, :, some]
@@ -147,6 +148,8 @@ def diffused(body: Body, arriving: Float[Tensor, "v W"], channels: int, stages: 
     its two sides than came.
     Source: Jensen and Buhler 2002, sections 2 and 3; what leaves is spread evenly over the directions.
     """
+    if not len(body.faces):
+        return torch.zeros(len(arriving), len(body.source.real) * (arriving.shape[1] // channels))
     paths = body.once("paths", lambda: paths_of(body, stages))
     colours, count = len(body.source.real), len(body.positions)
     # A column of ones goes along: it becomes the sum of the weights.

@@ -115,7 +115,8 @@ def tree_of(corners: Float64[Tensor, "f 3 3"], area: Float64[Tensor, "f"], size:
         sizes.append(size[order].view(count, -1).amax(1))
         below, weight = centre, whole[:, 0]
         count //= 2
-    return Tree(order, share, *(torch.cat(each[::-1]) for each in (centres, radii, all_moments, sizes)), leaves)
+    centre, radius, moments, largest = (torch.cat(each[::-1]) for each in (centres, radii, all_moments, sizes))
+    return Tree(order, share, centre, radius, moments, largest, leaves)
 
 
 def _products(vectors: Float64[Tensor, "*batch 3"]) -> Float64[Tensor, "*batch 6"]:
