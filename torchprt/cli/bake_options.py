@@ -279,21 +279,35 @@ def baked(
     store: Callable[[Transfer], Transfer] | None = None,
     **arguments: Any,
 ) -> Transfer:
-    """The bake of a scene, told of; kept in `output`, and on the way there in a folder beside it, if there is one.
+    """The bake of a scene, `kept` in `output`."""
+    from torchprt.transport import bake
 
-    `store`: what is made of it before it is kept.
+    def make(folder: Path | None) -> Transfer:
+        return bake(scene, checkpoint=folder, keep=True, **arguments)
+
+    return kept(output, make, half=half, store=store, partly=arguments.get("shadows", True))
+
+
+def kept(
+    output: Path | None,
+    make: Callable[[Path | None], Transfer],
+    *,
+    half: bool = False,
+    store: Callable[[Transfer], Transfer] | None = None,
+    partly: bool = True,
+) -> Transfer:
+    """What a bake makes, told of; kept in `output`, if there is one, and on the way there in a folder beside it.
+
+    `store`: what is made of it before it is kept. `partly`: whether it can be kept on the way.
     """
     import torch
 
     from torchprt.transfer import save
-    from torchprt.transport import bake
 
-    folder = (
-        None if output is None or not arguments.get("shadows", True) else output.with_name(output.name + ".partial")
-    )
+    folder = None if output is None or not partly else output.with_name(output.name + ".partial")
     start = time.perf_counter()
     try:
-        transfer = bake(scene, checkpoint=folder, keep=True, **arguments)
+        transfer = make(folder)
         if half:
             transfer = transfer.to(torch.float16)
         if store is not None:
@@ -301,10 +315,10 @@ def baked(
         if output is not None:
             save(transfer, output)
     except KeyboardInterrupt:
-        kept = ""
+        left = ""
         if folder is not None and folder.exists():
-            kept = f"; {folder} keeps what is done, the same command goes on from there"
-        complain(f"stopped{kept}")
+            left = f"; {folder} keeps what is done, the same command goes on from there"
+        complain(f"stopped{left}")
         raise typer.Exit(130) from None
     if folder is not None:
         shutil.rmtree(folder, ignore_errors=True)

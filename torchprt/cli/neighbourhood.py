@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
-import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from torchprt.cli import bake_options, options
 from torchprt.cli.compress import fraction
-from torchprt.cli.report import complain, describe, details, say
+from torchprt.cli.report import details, say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
+
+if TYPE_CHECKING:
+    from torchprt.transfer import Transfer
 
 
 def neighbourhood(
@@ -64,15 +65,10 @@ def neighbourhood(
     )
     say(scene)
 
-    import torch
-
-    from torchprt.transfer import save
     from torchprt.transport import bake_neighbourhood
 
-    folder = output.with_name(output.name + ".partial")
-    start = time.perf_counter()
-    try:
-        baked = bake_neighbourhood(
+    def make(folder: Path | None) -> Transfer:
+        return bake_neighbourhood(
             scene,
             order=order or bake_options.ORDER,
             output_order=output_order,
@@ -86,15 +82,8 @@ def neighbourhood(
             checkpoint=folder,
             keep=True,
         )
-        if half:
-            baked = baked.to(torch.float16)
-        save(baked, output)
-    except KeyboardInterrupt:
-        kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
-        complain(f"stopped{kept}")
-        raise typer.Exit(130) from None
-    shutil.rmtree(folder, ignore_errors=True)
-    say(f"\n{output}: {describe(baked)}, baked in {time.perf_counter() - start:.1f} s")
+
+    baked = bake_options.kept(output, make, half=half)
     for line in details(baked):
         say(line)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
-import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torchprt.cli import bake_options, options
-from torchprt.cli.report import complain, describe, details, say
+from torchprt.cli.report import details, say
 from torchprt.files import check_writable
 from torchprt.suffixes import VOLUMES
 from torchprt.words import either
+
+if TYPE_CHECKING:
+    from torchprt.transfer import Transfer
 
 GRID, BAKE = "Grid", bake_options.BAKE
 
@@ -94,18 +95,14 @@ def volume(
         "origin": None if origin is None else options.numbers(origin, 3, "--origin"),
     }
 
-    import torch
-
     from torchprt.scene import load_objects, read_volume
-    from torchprt.transfer import save
     from torchprt.transport import bake_volume
 
     read = read_volume(grid, scale=scale, coarsen=coarsen, grid=name, **found)
     say(f"{grid}: {read}")
-    folder = output.with_name(output.name + ".partial")
-    start = time.perf_counter()
-    try:
-        baked = bake_volume(
+
+    def make(folder: Path | None) -> Transfer:
+        return bake_volume(
             read,
             blockers=load_objects((), blockers=blocker or ()),
             order=order or bake_options.ORDER,
@@ -117,15 +114,8 @@ def volume(
             checkpoint=folder,
             keep=True,
         )
-        if half:
-            baked = baked.to(torch.float16)
-        save(baked, output)
-    except KeyboardInterrupt:
-        kept = f"; {folder} keeps what is done, the same command goes on from there" if folder.exists() else ""
-        complain(f"stopped{kept}")
-        raise typer.Exit(130) from None
-    shutil.rmtree(folder, ignore_errors=True)
-    say(f"\n{output}: {describe(baked)}, baked in {time.perf_counter() - start:.1f} s")
+
+    baked = bake_options.kept(output, make, half=half)
     for line in details(baked):
         say(line)
 
