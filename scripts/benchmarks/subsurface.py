@@ -26,10 +26,11 @@ HEIGHT = 150.0
 ONE_IN = 16
 
 
-def main() -> None:
+def run(path: Path | None = None) -> None:
+    """Prints a line a medium."""
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")
-    mesh = read_mesh(Path(sys.argv[1])) if len(sys.argv) > 1 else samples.head(35_000).objects[0].mesh
+    mesh = samples.head(35_000).objects[0].mesh if path is None else read_mesh(path)
     places = mesh.positions - mesh.positions.mean(0)
     places = places * (HEIGHT / float(places[:, 1].amax() - places[:, 1].amin()))
     arriving = unshadowed(mesh.normals, 5).T.float().contiguous()
@@ -71,4 +72,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(*map(Path, sys.argv[1:2]))

@@ -63,7 +63,7 @@ def test_writes_every_file_that_it_names_and_no_other(small, untyped, tmp_path):
     demo.run(tmp_path / "new" / "demo", said.append)
     written = {path.name for path in (tmp_path / "new" / "demo").iterdir()}
     assert written == set(re.findall(r"[a-z]+\.(?:exr|safetensors|png|ply|onnx)", " ".join(said)))
-    assert len(written) == 20
+    assert len(written) == 21
     for path in (tmp_path / "new" / "demo").glob("*.png"):
         with PIL.Image.open(path) as picture:
             # More than a white sheet with black words.

@@ -135,7 +135,7 @@ def test_narrow_shaders_learn(name):
 
 
 def test_places_directions_and_tables_stay_in_float32():
-    wide = {"points", "frames", "axis", "factors", "exponent", "rest", "basis", "slopes", "parity", "project"}
+    wide = {"points", "frames", "axis", "factors", "exponent", "rest", "basis", "slopes", "parity", "project", "shares"}
     seen = set()
     for transfer in TRANSFERS.values():
         whole, module = shader(transfer), shader(transfer).half()
