@@ -270,6 +270,15 @@ def test_each_colour_is_as_if_it_were_alone():
     assert baked(volume(albedo=colour), bounces=0, order=2).channels == 1
 
 
+def test_endless_passes_end_where_a_colour_or_a_cell_scatters_nothing():
+    albedo = 0.7 * (torch.rand(8, 8, 8, 3, generator=torch.Generator().manual_seed(7)) > 0.3)
+    albedo[..., 2] = 0
+    of = volume(depth=2.0, albedo=albedo)
+    endless, many = baked(of, bounces=math.inf, order=2), baked(of, bounces=20, order=2)
+    assert endless.bounces < 20
+    assert (values(many) - values(endless)).norm() < 2e-4 * values(many).norm()
+
+
 def test_albedo_may_differ_from_cell_to_cell():
     albedo = torch.rand(8, 8, 8, 1, generator=torch.Generator().manual_seed(5))
     transfer = baked(volume(albedo=albedo), bounces=1, order=2)

@@ -10,9 +10,10 @@ from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
 from .mirrors import MirrorWarning
 from .neighbourhood import GridWarning, bake_neighbourhood
+from .passes import VolumeWarning
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
-from .volume import VolumeWarning, bake_volume
+from .volume import bake_volume
 from .workers import Processes, Threads
 from .wrinkle import groove_transfer, wrinkle
 

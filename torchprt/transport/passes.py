@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -15,6 +15,10 @@ LIMIT = 1000
 # Former directions that a new one is made independent of: one is enough where all directions scatter alike, because
 # what one cell gets from another is then what that gets from it.
 _KEPT = 2
+
+
+class VolumeWarning(UserWarning):
+    """A grid too coarse for how dense it is, a phase function too narrow for the order, or passes without an end."""
 
 
 @dataclass
@@ -69,18 +73,28 @@ def endless(
     `a = direct + K a` is solved in every column by itself: the sum of passes is how it is defined, but a thick white
     cloud takes hundreds of them. Each step is one pass too, and takes what is best of all that were made (minimal
     residual, Orthomin), in the inner product of `weight`, in which K is symmetric if it scatters alike in all
-    directions. `enough` is of the norm over all.
+    directions. `enough` is of the norm over all that scatter: what comes to others goes nowhere, and the pass that
+    follows brings it.
+    Warns (`VolumeWarning`) if more than `LIMIT` passes were wanted.
     Source: Vinsome 1976 (Orthomin); Eisenstat, Elman and Schultz 1983.
     """
     if state is None:
         state = _toward(State(0, torch.zeros_like(direct), direct), once, weight)
-    whole = float(direct.norm())
+    scatter = weight > 0
     while True:
         sought, made = state.sought[-1], state.made[-1]
         share = _ratio(_inner(state.missing, made, weight), _inner(made, made, weight))
         state.arrived = state.arrived + share * sought
         state.missing = state.missing - share * made
-        if state.count >= LIMIT or float(state.missing.norm()) <= enough * max(whole, float(state.arrived.norm())):
+        left, whole = (float((each * scatter).norm()) for each in (state.missing, state.arrived))
+        if left <= enough * whole:
+            return state
+        if state.count >= LIMIT:
+            warnings.warn(
+                f"scattering was followed for {LIMIT} passes, after which {left / whole:.1e} of it is left",
+                VolumeWarning,
+                stacklevel=6,
+            )
             return state
         state = _toward(state, once, weight)
         keep(state)
@@ -93,10 +107,8 @@ def _toward(state: State, once: Pass, weight: Tensor) -> State:
     for former, result in zip(state.sought, state.made, strict=True):
         share = _ratio(_inner(made, result, weight), _inner(result, result, weight))
         sought, made = sought - share * former, made - share * result
-    kept = slice(-_KEPT + 1, None) if _KEPT > 1 else slice(0, 0)
-    return State(
-        state.count + 1, state.arrived, state.missing, [*state.sought[kept], sought], [*state.made[kept], made]
-    )
+    directions, results = [*state.sought, sought][-_KEPT:], [*state.made, made][-_KEPT:]
+    return State(state.count + 1, state.arrived, state.missing, directions, results)
 
 
 def _inner(one: Tensor, other: Tensor, weight: Tensor) -> Float[Tensor, "W"]:
@@ -107,9 +119,3 @@ def _ratio(above: Tensor, below: Tensor) -> Float[Tensor, "W"]:
     """Zero where there is nothing to divide: a column that is done."""
     least = torch.finfo(torch.float64).tiny
     return torch.where(below > least, above / below.clamp(min=least), 0).to(torch.float32)
-
-
-def relative(missing: Tensor, whole: Tensor) -> float:
-    """A norm as a share of another, 0 of nothing."""
-    total = float(whole.norm())
-    return float(missing.norm()) / total if total > 0 and math.isfinite(total) else 0.0

@@ -22,7 +22,7 @@ from torchprt.transfer import Cells, Dense, Diffuse, Layer, Phase, Transfer
 from torchprt.transport.bake import check_numbers, kept_in
 from torchprt.transport.bounces import SPENT, UNSEEN, Bounces
 from torchprt.transport.checkpoint import Checkpoint
-from torchprt.transport.passes import State, counted, endless
+from torchprt.transport.passes import State, VolumeWarning, counted, endless
 from torchprt.transport.progress import Bar
 from torchprt.transport.stages import Stages
 from torchprt.transport.task import Runner
@@ -40,10 +40,6 @@ THICK = 2.0
 # What the cells send varies less with the direction than the light does.
 _FEWER = 16
 _FEWEST, _A_ROW = 64, 8
-
-
-class VolumeWarning(UserWarning):
-    """A grid too coarse for how dense it is, or a phase function too narrow for the order."""
 
 
 @torch_on_one_thread()
