@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+import resource
 import sys
 import time
 import warnings
@@ -36,7 +37,8 @@ def baked(resolution: int, bounces: float | str, phase: float = 0.0, order: int 
     start = time.process_time()
     cloud = samples.cloud(resolution, phase=phase)
     found = bake_volume(cloud, order=order, rays=rays, bounces=bounces, progress=False)
-    print(f"{resolution}^3, phase {phase}: {found}, {time.process_time() - start:.0f} s of CPU")
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"{resolution}^3, phase {phase}: {found}, {time.process_time() - start:.0f} s of CPU, {most:.1f} GB so far")
     return found
 
 
@@ -88,7 +90,7 @@ def path_tracer() -> None:
     if fault := variant(mi):
         raise SystemExit(fault)
     lit, size, eye = positive_light(), (100, 80), torch.tensor([2.2, 1.0, 2.8], dtype=torch.float64)
-    for cosine in (0.0, 0.5, 0.85):
+    for cosine in (0.0, 0.5, 0.85, 0.95):
         cloud = samples.cloud(32, phase=cosine)
         transfer = baked(32, math.inf, cosine, order=5)
         module = VolumeShader(transfer, size=size, field=34.0, dtype=torch.float64)

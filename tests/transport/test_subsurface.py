@@ -69,7 +69,8 @@ def test_a_body_is_said_in_a_word_or_in_a_file(tmp_path):
     read = read_material("skin1@100+ggx:0.35,0.03")
     assert (read.medium, read.millimetres, read.albedo) == (MATERIALS["skin1"], 100, 1.0)
     (tmp_path / "skin.toml").write_text('subsurface = "skin1"\nmillimetres = 100\ngloss = "ggx:0.35,0.03"\n')
-    assert read_material(tmp_path / "skin.toml") == read or read_material(tmp_path / "skin.toml").gloss == read.gloss
+    file = read_material(tmp_path / "skin.toml")
+    assert (file.medium, file.millimetres, file.gloss) == (read.medium, read.millimetres, read.gloss)
 
 
 def test_a_mesh_that_light_cannot_diffuse_in_is_told_with_the_numbers():
@@ -138,8 +139,9 @@ def test_a_half_space_under_constant_light_reflects_the_closed_form(edge):
         torch.testing.assert_close(found, body.source.total, atol=1e-4, rtol=0)
 
 
-def test_a_searchlight_leaves_by_the_profile():
-    body = body_of(square(8.0, 41), "skin2", spread=0.1)
+@pytest.mark.parametrize(("more", "worst"), [({"spread": 0.1}, 0.04), ({}, 0.15)])
+def test_a_searchlight_leaves_by_the_profile(more, worst):
+    body = body_of(square(8.0, 41), "skin2", **more)
     light = torch.zeros(41 * 41, 1)
     middle = 20 * 41 + 20
     light[middle] = 1
@@ -149,7 +151,7 @@ def test_a_searchlight_leaves_by_the_profile():
     ring = (apart > 0.8) & (apart < 3.5)
     exact = body.source.profile(apart[ring]) * 0.2**2
     error = (found[ring] - exact).abs() / exact
-    assert float(error.max()) < 0.04
+    assert float(error.max()) < worst
 
 
 def test_nothing_comes_back_where_nothing_scatters_and_all_where_nothing_absorbs():

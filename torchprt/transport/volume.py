@@ -78,7 +78,8 @@ def bake_volume(
     that is 1 everywhere what arrives in a volume of albedo 1 is 1, up to the `error` and to what passes leave; a pass
     keeps energy to rounding: what cells send is taken by cells or leaves.
     Memory, G being cells that hold something and M rows (1, or the square of the output order): `4 G C M N` bytes for
-    the result, ten times that while it is made; on disk, with a checkpoint, fourteen times.
+    the result, and some dozen of its size while it is made; for 309 000 isotropic cells at order 5, with two threads,
+    1.6 GB in all. On disk, with a checkpoint, twelve of that size for the light and as much for the passes.
 
     Warns (`VolumeWarning`) if cells take most of the light, or bands of the phase function are cut off that matter.
     Raises InputError if an argument is out of range or does not fit, as `bake`.
