@@ -1,5 +1,6 @@
 """What a bake leaves: receivers, layers and signals, and one file format."""
 
+from .atlas import Atlas, bilinear
 from .cells import Cells
 from .clustered import Clustered
 from .d3dx import load_d3dx
@@ -18,6 +19,7 @@ from .zonal import Zonal
 
 __all__ = [
     "FORMAT",
+    "Atlas",
     "Cells",
     "Clustered",
     "Dense",
@@ -38,6 +40,7 @@ __all__ = [
     "Vertices",
     "Visibility",
     "Zonal",
+    "bilinear",
     "diffuse_transfer",
     "grid_in",
     "load",

@@ -17,6 +17,7 @@ from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, Part, check_indices
 
 if TYPE_CHECKING:
+    from torchprt.transfer.atlas import Atlas
     from torchprt.transfer.cells import Cells
     from torchprt.transfer.grid import Grid
 
@@ -41,6 +42,19 @@ class Receivers(Part, abc.ABC):
     def in_mesh_order(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B V D"]:
         """Values of the receivers in the order that they have in what was baked."""
         return values
+
+    @property
+    def surface(self) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Int[Tensor, "F 3"]]:
+        """What is drawn: positions, normals and faces. `at` says what is seen on it."""
+        return self.positions, self.normals, self.faces
+
+    def at(
+        self, values: Float[Tensor, "*B V D"], face: Int[Tensor, "E"], weights: Float[Tensor, "E 3"]
+    ) -> Float[Tensor, "*B E D"]:
+        """Values of the receivers at points of the faces of `surface`, with the weights of their three corners."""
+        corners = self.faces.long()[face.long()]
+        parts = (values[..., corners[:, k], :] * weights[:, k, None].to(values.dtype) for k in range(3))
+        return sum(parts, values.new_zeros(()))
 
     def ground(self) -> Bool[Tensor, "V"]:
         """Which of them are of a ground: pictures are about the others."""
@@ -70,6 +84,10 @@ class Receivers(Part, abc.ABC):
         raise InputError(
             "the transfer is recorded at vertices, not at the texels of a patch: bake one, as bake_patch does"
         )
+
+    def as_atlas(self) -> Atlas:
+        """These, if they are the texels of surfaces; InputError if not."""
+        raise InputError("the transfer is not recorded at the texels of a map: bake it with --texels 512, say")
 
     def as_grid(self) -> Grid:
         """These, if they are the nodes of a grid around an object; InputError if not."""
