@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .seams import Seams
+
 # Samples that are looked at together.
 BLOCK = 1 << 22
 # In texels: what is covered by less is not covered, and what overlaps by less does not overlap.
@@ -23,8 +25,8 @@ class Raster:
     - `texel [V]`: their numbers, row * columns + column, ascending; each is of one chart.
     - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would lie
       beside the chart repeat others of the same texel.
-    - `covered [V]`: how many of the S samples lie in the chart, at their own places; 0 where the chart only touches the
-      texel: all samples are then the point of it that is nearest to the middle.
+    - `own [V, S]`: which samples lie in the chart, at their own places of a regular grid, row after row; none where the
+      chart only touches the texel: all samples are then the point of it that is nearest to the middle.
     - `twice`: how many texels have a sample in several faces.
     - `lost [F]`: faces that have no texel of their own, because others fill theirs.
     """
@@ -32,9 +34,45 @@ class Raster:
     texel: Int[np.ndarray, "V"]
     face: Int[np.ndarray, "V S"]
     weights: Float[np.ndarray, "V S 3"]
-    covered: Int[np.ndarray, "V"]
+    own: Bool[np.ndarray, "V S"]
     twice: int
     lost: Bool[np.ndarray, "F"]
+
+    @property
+    def covered(self) -> Int[np.ndarray, "V"]:
+        """How many samples of each lie in its chart."""
+        count: np.ndarray = self.own.sum(axis=1)
+        return count
+
+
+def with_seams(
+    raster: Raster, beyond: Seams, chart: Int[np.ndarray, "F"], rows: int, columns: int, across: int
+) -> Raster:
+    """The same whose samples beside a chart lie on the surface beyond its seams, where it goes on there: so that what a
+    texel holds is of its middle also on the border of a chart. `beyond`: in texels, as far as 1."""
+    if not len(beyond.uv) or bool(raster.own.all()):
+        return raster
+    size = np.array([columns, rows])
+    found = rasterise(beyond.uv / size, np.arange(len(beyond.uv)), rows * across, columns * across, 1)
+    inside = found.covered > 0
+    sample, which, shares = found.texel[inside], found.face[inside, 0], found.weights[inside, 0]
+    row, column = sample // (columns * across), sample % (columns * across)
+    texel = row // across * columns + column // across
+    slot = row % across * across + column % across
+    at = np.searchsorted(raster.texel, texel).clip(max=len(raster.texel) - 1)
+    mine = (raster.texel[at] == texel) & ~raster.own[at, slot]
+    mine &= chart[raster.face[at, 0]] == chart[beyond.face[which]]
+    at, slot, which, shares = at[mine], slot[mine], which[mine], shares[mine]
+    face, weights, own = raster.face.copy(), raster.weights.copy(), raster.own.copy()
+    face[at, slot] = beyond.other[which]
+    there = (beyond.weights[which] * shares[..., None]).sum(1).clip(min=0)
+    weights[at, slot] = there / there.sum(1, keepdims=True)
+    own[at, slot] = True
+    changed = np.unique(at)
+    chosen = instead(own[changed])
+    face[changed] = np.take_along_axis(face[changed], chosen, axis=1)
+    weights[changed] = np.take_along_axis(weights[changed], chosen[..., None], axis=1)
+    return Raster(raster.texel, face, weights, own, raster.twice, raster.lost)
 
 
 def rasterise(
@@ -51,7 +89,7 @@ def rasterise(
     known = np.isfinite(uv).all(axis=(1, 2))
     corners = np.where(known[:, None, None], uv, 0.0) * [columns, rows]
     cover, twice = _covers(corners * across, known, rows * across, columns * across, across)
-    texel, face, slot, covered = _texels(cover, chart, across)
+    texel, face, slot, own = _texels(cover, chart, across)
     weights = _weights(corners, face, _places(texel, slot, columns, across))
     more, nearest, near_weights = _touched(corners, known, rows, columns, texel)
     repeated = np.repeat(nearest[:, None], across**2, axis=1)
@@ -61,8 +99,8 @@ def rasterise(
     weights = np.concatenate([weights, np.repeat(near_weights[:, None], across**2, axis=1)])[order]
     lost = known.copy()
     lost[face.ravel()] = False
-    covered = np.concatenate([covered, np.zeros(len(more), covered.dtype)])[order]
-    return Raster(texel[order], face, weights, covered, twice, lost)
+    own = np.concatenate([own, np.zeros((len(more), across**2), bool)])[order]
+    return Raster(texel[order], face, weights, own, twice, lost)
 
 
 def _covers(
@@ -156,7 +194,7 @@ def _texels(
     cover: Int[np.ndarray, "rows columns"], chart: Int[np.ndarray, "F"], across: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Texels with a sample in a face, ascending: of each the faces and places (numbers within the texel) of S samples,
-    and how many of them are its own."""
+    and which of them are its own."""
     rows, columns = cover.shape[0] // across, cover.shape[1] // across
     blocks = cover.reshape(rows, across, columns, across)
     texel = np.flatnonzero((blocks >= 0).any(axis=(1, 3)))
@@ -168,12 +206,16 @@ def _texels(
     # Of charts with as many samples the first.
     winner = np.where(votes == most, number, np.iinfo(number.dtype).max).min(axis=1, keepdims=True, initial=2**31 - 1)
     own = number == winner
-    covered = own.sum(axis=1)
+    slot = instead(own)
+    return texel, np.take_along_axis(samples, slot, axis=1), slot, own
+
+
+def instead(own: Bool[np.ndarray, "V S"]) -> Int[np.ndarray, "V S"]:
+    """Which sample of a texel stands for each: itself if it is its own, else one of those that are, in turn."""
     ranked = np.argsort(~own, axis=1, kind="stable")
-    place = np.arange(across**2)
-    instead = np.take_along_axis(ranked, place[None] % covered[:, None], axis=1)
-    slot = np.where(own, place, instead)
-    return texel, np.take_along_axis(samples, slot, axis=1), slot, covered
+    place = np.arange(own.shape[1])
+    others = np.take_along_axis(ranked, place[None] % np.maximum(own.sum(axis=1), 1)[:, None], axis=1)
+    return np.where(own, place, others)
 
 
 def _places(

@@ -22,8 +22,9 @@ from .glosses import Glosses
 from .lightmap import Lightmap
 from .object import Object
 from .points import Points
-from .rasterise import Raster, rasterise
+from .rasterise import Raster, rasterise, with_seams
 from .scene import Scene
+from .seams import Seams, seams
 from .tangents import orthogonal
 
 # Samples of texels that are looked at together.
@@ -40,6 +41,7 @@ class TexelSamples:
       surface through the vertices with their normals would be, so that a facet does not shade itself.
     - `face [V, S]`: of all faces of the scene; `extent [V]`: that of the largest of them.
     - `chart [V]`; of all faces of the scene `chart_of_face [F]`, and `uv [F, 3, 2]`, NaN where they record nothing.
+    - `seams`: where surfaces go on beyond the borders of charts, in texels.
     - `notes`: what was decided and mended, in sentences.
     Source of the move: Hanika, Ray Tracing Gems 2 (2021), chapter 4, Hacking the Shadow Terminator.
     """
@@ -53,6 +55,7 @@ class TexelSamples:
     chart: Int64[Tensor, "V"]
     chart_of_face: Int64[Tensor, "F"]
     uv: Float64[Tensor, "F 3 2"]
+    seams: Seams
     notes: tuple[str, ...]
 
 
@@ -76,6 +79,14 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     if not len(raster.texel):
         raise InputError("the texture coordinates of the scene put nothing on the map: use --uv unwrap")
     notes = [*charts.notes, *_notes(objects, raster)]
+    size = np.array([lightmap.columns, lightmap.rows])
+    normals = np.concatenate([each.mesh.normals.numpy()[each.mesh.faces.numpy()] for each in objects])
+    beyond = seams(geometry.positions.numpy(), geometry.faces.numpy(), normals, uv * size, lightmap.gutter + 1.0)
+    number = geometry.face_object.numpy()
+    beyond = beyond.take(number[beyond.face] == number[beyond.other])
+    # Samples beyond a seam are of another chart.
+    chart_of_texel = chart[raster.face[:, 0]]
+    raster = with_seams(raster, beyond, chart, lightmap.rows, lightmap.columns, lightmap.across)
     samples = _Samples(objects, geometry, raster)
     return TexelSamples(
         lightmap,
@@ -84,9 +95,10 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
         samples.origins,
         torch.from_numpy(raster.face.astype(np.int64)),
         samples.extent,
-        torch.from_numpy(chart[raster.face[:, 0]]),
+        torch.from_numpy(chart_of_texel),
         torch.from_numpy(chart),
         torch.from_numpy(uv),
+        beyond,
         tuple(notes),
     )
 

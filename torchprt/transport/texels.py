@@ -101,11 +101,8 @@ class Lightmapped:
             lightmap.rows,
             lightmap.columns,
             lightmap.gutter,
-            positions.numpy(),
-            faces.numpy(),
-            normals[faces].numpy(),
-            uv.numpy(),
-            samples.chart_of_face[shown].numpy(),
+            samples.seams,
+            samples.chart_of_face.numpy(),
         )
         _, chart = samples.chart.unique(return_inverse=True)
         sight = None if validity is None or not bool(validity.sight.any()) else validity.sight
