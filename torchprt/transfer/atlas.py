@@ -29,6 +29,7 @@ class Atlas(Receivers):
       there is the sum of `gutter_weights [E, 4]` times the receivers `gutter_sources [E, 4]`: the surface beyond a seam
       where it goes on smoothly, else what is nearest in the same chart.
     - `sight [V]`: as in `Vertices`; None if all are valid.
+    - `notes`: how the map was laid out, and what was mended, in sentences.
     - `objects`: what they are of, a dictionary each: `name` of the mesh, `role`, and its `vertices` and `faces`, [first,
       one past the last], among those of the meshes.
 
@@ -68,6 +69,7 @@ class Atlas(Receivers):
     gutter_weights: Tensor
     sight: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
+    notes: Sequence[str] = ()
     faces: Any = None
 
     def __post_init__(self) -> None:
@@ -82,7 +84,7 @@ class Atlas(Receivers):
         self.faces = _outward(faces, self.positions, self.normals)
 
     def metadata(self) -> dict[str, Any]:
-        return {"rows": self.rows, "columns": self.columns, "objects": list(self.objects)}
+        return {"rows": self.rows, "columns": self.columns, "objects": list(self.objects), "notes": list(self.notes)}
 
     def as_atlas(self) -> Atlas:
         return self

@@ -46,7 +46,9 @@ class TexelSurfaces(Surfaces):
     ) -> tuple[Int[Tensor, "E 1"], Float[Tensor, "E 1"]]:
         assert self.receiver is not None and self.uv is not None
         corners = self.uv[triangle]
-        place = corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
+        place = (
+            corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
+        )
         rows, columns = self.receiver.shape
         column = place[:, 0].nan_to_num(0).floor().clamp(0, columns - 1).long()
         row = place[:, 1].nan_to_num(0).floor().clamp(0, rows - 1).long()
@@ -122,6 +124,7 @@ class Lightmapped:
             gutter_weights=torch.from_numpy(found.weights).float(),
             sight=sight,
             objects=self._objects(shown),
+            notes=samples.notes,
         )
 
     def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, object]]:
@@ -148,7 +151,9 @@ def lightmapped(scene: Scene, geometry: Geometry, lightmap: Lightmap, numbers: i
     check_memory(_MAP * lightmap.samples * size, what, instead)
     samples = texel_samples(scene, geometry, lightmap)
     count = len(samples.raster.texel)
-    check_memory(count * (4 * numbers + _TEXEL + _SAMPLE * lightmap.samples), f"{what}, {count} of them covered,", instead)
+    check_memory(
+        count * (4 * numbers + _TEXEL + _SAMPLE * lightmap.samples), f"{what}, {count} of them covered,", instead
+    )
     return Lightmapped(samples, geometry, among(samples.points, geometry))
 
 
