@@ -23,8 +23,8 @@ class Raster:
     """The texels that faces cover, each with S = k * k samples.
 
     - `texel [V]`: their numbers, row * columns + column, ascending; each is of one chart.
-    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would lie
-      beside the chart repeat others of the same texel.
+    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would
+      lie beside the chart repeat others of the same texel.
     - `own [V, S]`: which samples lie in the chart, at their own places of a regular grid, row after row; none where the
       chart only touches the texel: all samples are then the point of it that is nearest to the middle.
     - `twice`: how many texels have a sample in several faces.

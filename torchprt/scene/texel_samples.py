@@ -37,8 +37,8 @@ class TexelSamples:
 
     - `points`: what each records: positions and unit normals in the mean of its samples, the means of albedo and
       specular, the gloss of its first sample.
-    - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a smooth
-      surface through the vertices with their normals would be, so that a facet does not shade itself.
+    - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a
+      smooth surface through the vertices with their normals would be, so that a facet does not shade itself.
     - `face [V, S]`: of all faces of the scene; `extent [V]`: that of the largest of them.
     - `chart [V]`; of all faces of the scene `chart_of_face [F]`, and `uv [F, 3, 2]`, NaN where they record nothing.
     - `seams`: where surfaces go on beyond the borders of charts, in texels.
@@ -186,7 +186,8 @@ class _Samples:
             self.positions,
             self.normals,
             albedo=_narrow(self.albedo),
-            **({} if glosses is None else {"gloss": glosses, "specular": _narrow(self.specular)}),
+            gloss=glosses,
+            specular=1.0 if glosses is None else _narrow(self.specular),
             tangents=self.tangents,
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,7 +45,8 @@ class TexelSurfaces(Surfaces):
     def senders(
         self, triangle: Int[Tensor, "E"], u: Float[Tensor, "E"], v: Float[Tensor, "E"], front: Bool[Tensor, "E"]
     ) -> tuple[Int[Tensor, "E 1"], Float[Tensor, "E 1"]]:
-        assert self.receiver is not None and self.uv is not None
+        assert self.receiver is not None
+        assert self.uv is not None
         corners = self.uv[triangle]
         place = (
             corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
@@ -127,7 +129,7 @@ class Lightmapped:
             notes=samples.notes,
         )
 
-    def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, object]]:
+    def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, Any]]:
         scene = self.scene
         before = [0, *shown.long().cumsum(0).tolist()]
         of_face = scene.face_object
