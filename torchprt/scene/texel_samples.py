@@ -78,7 +78,7 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     raster = rasterise(uv, chart, lightmap.rows, lightmap.columns, lightmap.across)
     if not len(raster.texel):
         raise InputError("the texture coordinates of the scene put nothing on the map: use --uv unwrap")
-    notes = [*charts.notes, *_notes(objects, raster)]
+    notes = [*charts.notes, *_notes(objects, raster, uv, chart)]
     size = np.array([lightmap.columns, lightmap.rows])
     normals = np.concatenate([each.mesh.normals.numpy()[each.mesh.faces.numpy()] for each in objects])
     beyond = seams(geometry.positions.numpy(), geometry.faces.numpy(), normals, uv * size, lightmap.gutter + 1.0)
@@ -113,16 +113,17 @@ def _of_all(objects: Sequence[Object], charts: Charts) -> tuple[np.ndarray, np.n
     return np.concatenate(uv), np.concatenate(number)
 
 
-def _notes(objects: Sequence[Object], raster: Raster) -> list[str]:
+def _notes(objects: Sequence[Object], raster: Raster, uv: np.ndarray, chart: np.ndarray) -> list[str]:
     notes = []
     if raster.lost.any():
         notes.append(
             f"{count(int(raster.lost.sum()), 'face')} of the map have no texel of their own and show what their "
             "neighbours do"
         )
-    thin = int((raster.covered == 0).sum())
-    if thin:
-        notes.append(f"{count(thin, 'texel')} of {len(raster.texel)} are touched by a chart and hold no sample of it")
+    seen = np.unique(chart[raster.face[raster.own.any(axis=1), 0]])
+    small = len(np.setdiff1d(chart[np.isfinite(uv).all(axis=(1, 2))], seen))
+    if small:
+        notes.append(f"{count(small, 'chart')} smaller than a texel: sampled at the point nearest to its middle")
     both = [each.mesh.name for each in objects if each.receives and bool(each.two_sided.any())]
     if both:
         notes.append(f"{', '.join(both)}: texels are of one side, the other is black")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from torch import Tensor
 
 from torchprt.memory import check_memory
@@ -215,7 +215,7 @@ def _views(
     return odd, near
 
 
-def _links(samples: TexelSamples) -> coo_matrix:
+def _links(samples: TexelSamples) -> csr_matrix:
     """Which texels of one chart lie beside each other on the map."""
     rows, columns = samples.lightmap.rows, samples.lightmap.columns
     texel, chart = samples.raster.texel, samples.chart.numpy()
