@@ -136,9 +136,7 @@ def _side_by_side(
     return pack(parts, rows, columns, gutter), [said, *notes[1:]]
 
 
-def _decided(
-    objects: Sequence[Object], rows: int, columns: int, gutter: int
-) -> tuple[list[np.ndarray], list[str]]:
+def _decided(objects: Sequence[Object], rows: int, columns: int, gutter: int) -> tuple[list[np.ndarray], list[str]]:
     """The first set that is fit, else charts made anew; and why."""
     reasons = []
     for number in (1, 0):
