@@ -27,6 +27,7 @@ from .weld import weld
 OVERLAP = 1e-3
 # A ground is eight times as wide as what stands on it, and coarser outward: the side of its chart is that much smaller.
 GROUND = 0.25
+MADE = "charts are made by xatlas"
 
 
 class AtlasWarning(UserWarning):
@@ -73,7 +74,7 @@ def charts_of(
     all_uv = [next(own) if each.receives else np.full((len(each.mesh.faces), 3, 2), np.nan) for each in objects]
     chart = [_pieces(each, pairs) for each, pairs in zip(objects, all_uv, strict=True)]
     mirrored = sum(_mirrored(pairs) for pairs in all_uv)
-    if mirrored:
+    if mirrored and not notes[0].startswith(MADE):
         notes.append(f"{count(mirrored, 'face')} lie mirrored on the map")
     return Charts([torch.from_numpy(each) for each in all_uv], [torch.from_numpy(each) for each in chart], tuple(notes))
 
@@ -87,7 +88,7 @@ def _unwrapped(
         parts.append(pairs * (GROUND if each.role == "ground" else 1.0))
         flat += int(np.isnan(pairs).any(axis=(1, 2)).sum())
     found = pack(parts, rows, columns, gutter)
-    notes = [f"charts are made by xatlas, {why}"]
+    notes = [f"{MADE}, {why}"]
     if any(each.role == "ground" for each in objects):
         notes.append(f"the ground has 1/{1 / GROUND:.0f} of the texels along a length that the rest has")
     if flat:
