@@ -69,7 +69,7 @@ def lit_cube(order=3, channels=1, texels=6, gutter=2):
     from torchprt.transport.diffuse import unshadowed
 
     place = cube(texels, gutter)
-    vectors = unshadowed(place.normals.double(), order).float().T[None].expand(channels, -1, -1).contiguous()
+    vectors = unshadowed(place.normals.double(), order).float()[None].expand(channels, -1, -1).contiguous()
     albedo = torch.tensor([[0.8, 0.2, 0.1], [0.5, 0.5, 0.5], [0.9, 0.9, 0.9], [0.1, 0.3, 0.2], [0.2, 0.4, 0.8], [0.7] * 3])
     layer = Diffuse(albedo=albedo[place.chart.long()], signal=Dense(values=vectors))
     return Transfer(receivers=place, layers={"diffuse": layer}, transport="unshadowed")
