@@ -160,8 +160,9 @@ def _parts() -> Iterator[tuple[str, list[Sheet], Vector]]:
     yield "sofa", list(_sofa()), LINEN
     yield "cushions", [*_box((1.5, 0.46, -1.25), (1.72, 0.86, -0.8)), *_box((1.46, 0.46, 0.3), (1.68, 0.84, 0.74))], MUSTARD
     yield "shelf", list(_shelf()), WHITE
-    for number, (low, high) in enumerate(_books()):
-        yield f"book {number}", list(_box(low, high, "zy")), BOOKS[number % len(BOOKS)]
+    books = list(_books())
+    for number, colour in enumerate(BOOKS):
+        yield f"books {number}", [side for book in books[number :: len(BOOKS)] for side in _box(*book, "zy")], colour
     profile = [(0.055, 0), (0.09, 0.05), (0.115, 0.11), (0.105, 0.17), (0.065, 0.23), (0.045, 0.28), (0.055, 0.31)]
     yield "vase", [_turned(profile, (-0.25, 0.42, -0.5))], CLAY
     yield "frame", list(_box((-1.75, 1.3, -d), (-0.75, 2.0, -d + 0.035), "z")), BLACK
