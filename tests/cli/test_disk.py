@@ -45,7 +45,12 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
         *((f"map{suffix}", ["cube.safetensors", *LAMP]) for suffix in (".npy", ".exr", ".glb", ".png")),
     ],
     "light": [("a.npy", ["lamp.exr", "--order", "16"])],
-    "export": [("a.onnx", [BALL]), ("a.glb", [BALL]), ("lit.glb", ["cube.safetensors"]), ("page", [BALL, "--web", *LAMP])],
+    "export": [
+        ("a.onnx", [BALL]),
+        ("a.glb", [BALL]),
+        ("lit.glb", ["cube.safetensors"]),
+        ("page", [BALL, "--web", *LAMP]),
+    ],
     "compress": [("a.safetensors", [BALL, "--clusters", "4"])],
     "plan": [("a.toml", ["ball.ply", *LAMP, "--order", "3", "--error", "20%"])],
     "fit": [("a.safetensors", [BALL, "--lobes", "2"])],

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import torch
 from atlases import lit_cube
 from environments import lamp, save_exr
 from PIL import Image
@@ -137,5 +136,3 @@ def test_export_writes_the_lit_model(bake, done, tmp_path):
 def test_a_light_of_a_model_at_vertices_is_refused(folder, refused, tmp_path):
     arguments = ["export", folder / "glossy.safetensors", "-o", tmp_path / "a.glb", "--light", "sky"]
     refused("--light is given", "transfer for every light", arguments=arguments)
-
-

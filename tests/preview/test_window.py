@@ -122,7 +122,9 @@ def test_a_map_is_the_still_of_the_same_camera_without_cracks_at_seams(screen, f
     with torch.no_grad():
         colours = display(shader(transfer)(light), exposure=automatic_exposure(light))
     camera = Orbit.around(transfer.receivers.mesh_positions).camera()
-    wanted = (Still.of(transfer.receivers, size=SIZE, camera=camera, samples=1).radiance(colours.float(), -1.0) * 255).numpy()
+    wanted = (
+        Still.of(transfer.receivers, size=SIZE, camera=camera, samples=1).radiance(colours.float(), -1.0) * 255
+    ).numpy()
     window = opened_on(screen, tmp_path, files, "cube")
     shown = window.settled()
     window.close()

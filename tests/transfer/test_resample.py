@@ -40,7 +40,7 @@ def test_refuses_frames_and_compressed_signals():
     whole = lit_cube()
     place = cube()
     glossy = random_glossy(vertices=place.count, diffuse=False)
-    with pytest.raises(InputError, match="layer 'exit' .* in the frame of each of its receivers"):
+    with pytest.raises(InputError, match=r"layer 'exit' .* in the frame of each of its receivers"):
         to_vertices(dataclasses.replace(glossy, receivers=place))
     with pytest.raises(InputError, match=r"stored as clustered.*compression\.decompress"):
         to_vertices(compress(whole, clusters=4, components=2))

@@ -25,7 +25,8 @@ const pixels = async (texture) => {
   const context = canvas.getContext("2d");
   context.drawImage(texture.image, 0, 0);
   const { width, height, data } = context.getImageData(0, 0, canvas.width, canvas.height);
-  return { width, height, data: Array.from(data), wrap: texture.wrapS, channel: texture.channel, flip: texture.flipY, space: texture.colorSpace };
+  return { width, height, data: Array.from(data), wrap: texture.wrapS, flip: texture.flipY, space: texture.colorSpace,
+    channel: texture.channel };
 };
 window.tell = async (address) => {
   const file = await new GLTFLoader().loadAsync(address);

@@ -63,7 +63,7 @@ def export(
     light: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Page: images or .npy to choose from, or {WORDS} (repeatable). .glb of texels: the one that lights it.",
+            help=f"Page: images or .npy to choose from, or {WORDS} (repeatable). .glb of texels: its light.",
             show_default="all of these; studio",
         ),
     ] = None,
@@ -203,7 +203,9 @@ def _export_lit(transfer: Transfer, path: Path, words: list[str] | None, given: 
     from torchprt import preview
 
     if "eye" in transfer.needs:
-        raise InputError("gloss looks different from everywhere: give an eye to `torchprt shade`, which writes .glb too")
+        raise InputError(
+            "gloss looks different from everywhere: give an eye to `torchprt shade`, which writes .glb too"
+        )
     if words is not None and len(words) > 1:
         raise InputError(f"--light is given {len(words)} times: a .glb shows one, `torchprt shade` writes one for each")
     environment = environment_of(words[0] if words else STUDIO, transfer.order, repair=False)

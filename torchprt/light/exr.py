@@ -57,7 +57,8 @@ def write_exr(path: str | os.PathLike[str], image: Float[np.ndarray, "H W 3"]) -
     # NaN too.
     if not most <= HALF:
         raise InputError(
-            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or use a weaker light"
+            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or take a weaker "
+            "light"
         )
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic(path) as temporary:

@@ -36,8 +36,9 @@ def save_lit_glb(
 ) -> str:
     """Writes what `transfer` was recorded at in `colours`, linear RGB in its order, as `.glb` that any viewer shows.
 
-    If it was baked from a glTF file that is still there (or in the folder `near`, or is `given`), it is that file as `keep_light`
-    makes it, else a plain mesh as `save_glb` writes; of an atlas what `save_mapped_glb` writes. Returns a sentence that says which.
+    If it was baked from a glTF file that is still there (or in the folder `near`, or is `given`), it is that file as
+    `keep_light` makes it, else a plain mesh as `save_glb` writes; of an atlas what `save_mapped_glb` writes. Returns a
+    sentence that says which.
     Raises InputError for a volume, if the file is damaged or `path` cannot be written.
     """
     if not transfer.receivers.on_surface:

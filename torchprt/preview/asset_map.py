@@ -1,4 +1,4 @@
-"""What was recorded at texels as a model that any viewer shows: the lit map on a set of texture coordinates of its own."""
+"""What was recorded at texels as a model that any viewer shows: the lit map on texture coordinates of its own."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from torchprt.scene.gltf import Document, Piece
 from torchprt.shade import srgb
 from torchprt.transfer import Atlas, Transfer, Vertices, diffuse_transfer
 
+EMPTY = b'{"asset": {"version": "2.0"}}'
 LINEAR, CLAMP = 9729, 33071
 """Of the specification of glTF 2.0: filters and wrapping of samplers. No mip levels: they would mix charts."""
 OWN = ("name", "doubleSided", "extras")
@@ -52,10 +53,7 @@ def save_mapped_glb(
         asset = None
     picture = encoded(image_of(srgb(atlas.image(colours.float().cpu()))), format="PNG")
     drawn = _Mapped(picture, atlas, asset)
-    if asset is None:
-        file = AssetFile(Document(b'{"asset": {"version": "2.0"}}', "plain.gltf"))
-    else:
-        file = keep(asset, drawn)
+    file = AssetFile(Document(EMPTY, "plain.gltf")) if asset is None else keep(asset, drawn)
     for each in _objects(atlas):
         if asset is None or each["vertices"][0] != asset.front.start:
             drawn.add(file, each)

@@ -14,9 +14,7 @@ RINGS = 2
 BESIDE = ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
-def mips(
-    atlas: Atlas, values: Float[Tensor, "*B V D"], smallest: int = 8
-) -> list[Float[Tensor, "*B H W D"]]:
+def mips(atlas: Atlas, values: Float[Tensor, "*B V D"], smallest: int = 8) -> list[Float[Tensor, "*B H W D"]]:
     """The map of values of the receivers and each half of it, as long as both sides have `smallest` texels or more.
 
     Level k has rows // 2^k x columns // 2^k texels. Each is the mean of those texels of one chart that fall into it:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import torch
@@ -62,8 +63,8 @@ def to_vertices(transfer: Transfer) -> Transfer:
 def to_texels(transfer: Transfer, atlas: Atlas) -> Transfer:
     """Transfer of vertices at the texels of an atlas that lies on the same meshes: linear over each face.
 
-    Raises InputError if the transfer is of other vertices than the meshes of `atlas` have, for layers that depend on the
-    eye, and if a signal is compressed.
+    Raises InputError if the transfer is of other vertices than the meshes of `atlas` have, for layers that depend on
+    the eye, and if a signal is compressed.
     """
     receivers = transfer.receivers
     if not isinstance(receivers, Vertices):
@@ -109,7 +110,7 @@ def with_channels(transfer: Transfer, channels: int) -> Transfer:
 
 
 def places(atlas: Atlas) -> tuple[Tensor, Tensor]:
-    """The face of the meshes that each texel of an atlas lies on, `[V]`, and the weights of its corners, `[V, 3]`: those
+    """The face of the meshes that each texel of an atlas lies on `[V]`, and the weights of its corners `[V, 3]`: those
     of the middle of the texel, or of the point beside it if that is not in the chart.
 
     Of faces that meet in a texel it is the one that comes nearest to where the texel recorded.
@@ -153,7 +154,7 @@ def _blocks(counts: Tensor) -> list[slice]:
     ends = counts.cumsum(0)
     number = (ends - counts) // (1 << 21)
     starts = [0, *(torch.nonzero(number[1:] != number[:-1])[:, 0] + 1).tolist(), len(counts)]
-    return [slice(start, stop) for start, stop in zip(starts, starts[1:], strict=False) if stop > start]
+    return [slice(start, stop) for start, stop in itertools.pairwise(starts) if stop > start]
 
 
 def _weights(corners: Float[Tensor, "s 3 2"], place: Float[Tensor, "s 2"]) -> Float[Tensor, "s 3"]:
