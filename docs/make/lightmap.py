@@ -58,8 +58,8 @@ def baked(bounces: float = math.inf, rays: int = RAYS) -> Transfer:
 
 
 def day(name: str, elevation: float, azimuth: float, strength: float = 1.0) -> preview.Environment:
-    """A clear sky and its sun, a disc of 8 degrees, as high as `elevation` and from where `azimuth` says, from -x toward
-    +z, in degrees; with the ground that they light."""
+    """A clear sky and its sun, a disc of 8 degrees, as high as `elevation` and from where `azimuth` says, from -x
+    toward +z, in degrees; with the ground that they light."""
     high, around = math.radians(elevation), math.radians(azimuth)
     level = math.cos(high)
     toward = torch.tensor([-level * math.cos(around), math.sin(high), level * math.sin(around)], dtype=torch.float64)

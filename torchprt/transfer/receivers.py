@@ -50,8 +50,8 @@ class Receivers(Part, abc.ABC):
 
     @property
     def surface_uv(self) -> Float[Tensor, "F 3 2"] | None:
-        """Where the corners of faces of `surface` are on the map of the receivers; None if they are its vertices, and what
-        they have is what these have."""
+        """Where the corners of faces of `surface` are on the map of the receivers; None if they are its
+        vertices, and what they have is what these have."""
         return None
 
     def at(
