@@ -13,7 +13,7 @@ from torchprt.errors import InputError
 # The share of the area of a mesh that a chart has at most. Larger charts are fewer, and take five times as long.
 LARGEST = 0.02
 # Faces up to which they may be as large as they will.
-FEW = 4096
+FEW = 40_000
 # How much smaller charts become from one try to pack them to the next, and how often that is tried.
 STEP, TRIES = 0.97, 150
 # The share of a map that charts may cover at best, to begin with.
