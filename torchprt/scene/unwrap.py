@@ -100,9 +100,10 @@ def pack(
     scale = (DENSE * squares * side**2 / total) ** 0.5
     for _ in range(TRIES):
         atlas = xatlas.Atlas()
-        for each, own in zip(charts, known, strict=True):
-            if own.any():
-                atlas.add_uv_mesh(*_corners(each[own] * (scale * FINE)))
+        # It knows a mesh by where it is in memory: all are to be there at once.
+        held = [_corners(each[own] * (scale * FINE)) for each, own in zip(charts, known, strict=True) if own.any()]
+        for arrays in held:
+            atlas.add_uv_mesh(*arrays)
         packing = xatlas.PackOptions()
         # It pads both of two neighbours. A single square may grow, which says how far it is from fitting.
         packing.padding, packing.texels_per_unit, packing.resolution = gutter, 1 / FINE, side if squares > 1 else 0
