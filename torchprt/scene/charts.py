@@ -147,8 +147,8 @@ def _given(objects: Sequence[Object], number: int, rows: int, columns: int) -> _
         outside = _outside(pairs)
         if outside:
             raise InputError(
-                f"{each.mesh.name}: {count(outside, 'face')} of set {number} of the texture coordinates leave the "
-                "square from 0 to 1: give another set, or --uv unwrap"
+                f"{each.mesh.name}: set {number} of the texture coordinates leaves the square from 0 to 1 with "
+                f"{count(outside, 'face')}: give another set, or --uv unwrap"
             )
     shares = [_overlap([pairs], rows, columns) for pairs in layout.parts]
     faulty = [each.mesh.name for each, share in zip(objects, shares, strict=True) if share > OVERLAP]
@@ -218,7 +218,10 @@ def _sets(objects: Sequence[Object], number: int) -> _Layout:
         found.append(pairs - whole[piece][:, None])
     notes = [f"set {number} of the texture coordinates"]
     if moved:
-        notes.append(f"{count(moved, 'chart')} beside the square are brought back by whole numbers")
+        notes.append(f"{count(moved, 'chart')} beside the square brought back by whole numbers")
+    mirrored = sum(_mirrored(pairs) for pairs in found)
+    if mirrored:
+        notes.append(f"{count(mirrored, 'face')} mirrored on the map")
     return _Layout(found, notes, packed=True)
 
 
@@ -229,14 +232,11 @@ def _faults(objects: Sequence[Object], found: Sequence[Float[np.ndarray, "_ 3 2"
     flat = [_signed(pairs) == 0 for pairs in found]
     lost = sum(int(which.sum()) for which in missing)
     thin = sum(int((which & (area > 0)).sum()) for which, area in zip(flat, areas, strict=True))
-    mirrored = sum(_mirrored(pairs) for pairs in found)
     notes = []
     if lost:
-        notes.append(f"{count(lost, 'face')} without texture coordinates or area are on no chart")
+        notes.append(f"{count(lost, 'face')} without texture coordinates or area on no chart")
     if thin:
-        notes.append(f"{count(thin, 'face')} have no area on the map and show what lies beside them")
-    if mirrored:
-        notes.append(f"{count(mirrored, 'face')} lie mirrored on the map")
+        notes.append(f"{count(thin, 'face')} without area on the map, where what lies beside it shows")
     return notes
 
 
