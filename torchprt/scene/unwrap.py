@@ -18,6 +18,10 @@ FEW = 40_000
 STEP, TRIES = 0.97, 150
 # The share of a map that charts may cover at best, to begin with.
 DENSE = 0.75
+# The area of the mean chart, in texels, below which they are not made smaller.
+LEAST = 0.05
+# xatlas leaves out faces with an area below 1e-7 of its unit, which is to be far less than a texel.
+FINE = 1024.0
 
 
 def unwrap(
@@ -26,15 +30,16 @@ def unwrap(
     """Charts of a mesh, each as wide as it is on the surface: coordinates of the corners of faces in the unit of the
     mesh, one chart beside the other; NaN for faces without area, which lie on none.
 
-    The same for a mesh that is scaled by a power of two or moved, up to rounding. The scan of 70 000 faces takes 4 s.
+    The same for a mesh that is scaled or moved, up to rounding, and the same bits for the same mesh. A scan of 70 000
+    faces takes 4 s, four times as many take four times as long; Ctrl-C waits for it.
     Raises InputError if xatlas makes nothing of it.
     """
     import xatlas
 
     used = positions[faces]
     low, high = used.min((0, 1)), used.max((0, 1))
-    size = 2.0 ** np.ceil(np.log2((high - low).max()))
-    # float32 is all that xatlas takes.
+    size = float((high - low).max())
+    # float32 is all that xatlas takes. A division that is not exact is the same for meshes of all sizes.
     small = ((positions - (low + high) / 2) / size).astype(np.float32)
     area = np.linalg.norm(np.cross(*np.moveaxis(small[faces][:, 1:] - small[faces][:, :1], 1, 0)), axis=1) / 2
     kept = np.flatnonzero(area > 0)
@@ -78,7 +83,8 @@ def pack(
 ) -> list[Float[np.ndarray, "_ 3 2"]]:
     """The charts of all meshes, in one unit of length, on one map: coordinates in [0, 1], v down.
 
-    All are made smaller by one factor, are at least 2 `gutter` texels apart and `gutter` from the border.
+    All are made smaller by one factor, are at least 2 `gutter` texels apart and `gutter` from the border. NaN for faces
+    that are there already, and that are a point at this size.
     Raises InputError if they do not fit, as a thousand charts on a map of 8 x 8.
     """
     import xatlas
@@ -94,17 +100,27 @@ def pack(
     scale = (DENSE * squares * side**2 / total) ** 0.5
     for _ in range(TRIES):
         atlas = xatlas.Atlas()
-        for each, own in zip(charts, known, strict=True):
-            if own.any():
-                atlas.add_uv_mesh(*_corners(each[own] * scale))
+        # It knows a mesh by where it is in memory: all are to be there at once.
+        held = [_corners(each[own] * (scale * FINE)) for each, own in zip(charts, known, strict=True) if own.any()]
+        for arrays in held:
+            atlas.add_uv_mesh(*arrays)
         packing = xatlas.PackOptions()
         # It pads both of two neighbours. A single square may grow, which says how far it is from fitting.
-        packing.padding, packing.texels_per_unit, packing.resolution = gutter, 1.0, side if squares > 1 else 0
+        packing.padding, packing.texels_per_unit, packing.resolution = gutter, 1 / FINE, side if squares > 1 else 0
         atlas.generate(xatlas.ChartOptions(), packing)
         if 0 < atlas.atlas_count <= squares and max(atlas.width, atlas.height) <= side:
             return _placed(atlas, known, rows, columns, gutter)
+        if total * scale**2 < LEAST * atlas.chart_count:
+            # They are as small as texels, and become no smaller on the map.
+            break
         widest = max(atlas.width, atlas.height, 1)
-        scale *= min(side / widest, 1) * 0.998 if squares == 1 and widest > 1.01 * side else STEP
+        if squares == 1 and widest > 1.01 * side:
+            scale *= 0.998 * side / widest
+        elif atlas.atlas_count > squares + 1:
+            # The last of them may be nearly empty.
+            scale *= (squares / (atlas.atlas_count - 1)) ** 0.5
+        else:
+            scale *= STEP
     raise InputError(f"the charts do not fit on a map of {columns} x {rows} texels with gutters of {gutter}: {advice}")
 
 
@@ -120,9 +136,13 @@ def _placed(
         if own.any():
             _, index, pairs = atlas.get_mesh(number)
             square, _ = atlas.get_mesh_vertex_assignment(number)
+            square = np.asarray(square).astype(np.int32).astype(np.int64)
             texels = pairs.astype(np.float64) * [atlas.width, atlas.height] + gutter
-            texels += np.asarray(square).astype(np.int64)[:, None] * along
-            result[own] = texels[index] / [columns, rows]
+            texels += square[:, None] * along
+            texels[square < 0] = np.nan
+            places = texels[index] / [columns, rows]
+            places[np.isnan(places).any(axis=(1, 2))] = np.nan
+            result[own] = places
             number += 1
         found.append(result)
     return found
