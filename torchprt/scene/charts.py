@@ -20,7 +20,8 @@ from torchprt.words import count
 
 from .object import Object
 from .rasterise import rasterise
-from .unwrap import pack, unwrap
+from .pack import pack
+from .unwrap import unwrap
 from .weld import weld
 
 # The share of covered texels that may lie in several faces, as rounding along edges makes them.
