@@ -11,12 +11,11 @@ from scipy.sparse.csgraph import connected_components
 
 from torchprt.errors import InputError
 
-from .rasterise import rasterise
+from .rasterise import faces_twice
 from .weld import weld
 
-# How far a chart may bend before another begins: a quarter of what xatlas would. Charts are then less stretched, and
-# rounder ones, which leave less of a map empty.
-COST = 0.5
+# How far a chart may bend before another begins: half as far as by default. Charts are then less stretched.
+COST = 1.0
 # The share of the area of a mesh that a chart has at most. Larger charts are fewer, and take five times as long.
 LARGEST = 0.02
 # Faces up to which they may be as large as they will.
@@ -27,8 +26,6 @@ WIDTH = 1024.0
 ROUNDS = 4
 # Samples along a side of all charts together, which are looked at for places in several faces.
 LOOKED = 1024
-# Weights of a sample that lies in a face, and not on its edge.
-WITHIN = 1e-3
 
 
 class Flat(NamedTuple):
@@ -54,14 +51,14 @@ def unwrap(
     # Faces upon faces would be joined there, and then be torn apart.
     for number in range(int(layer.max(initial=0)) + 1):
         _fill(found, positions, faces, np.flatnonzero(layer == number), name)
+    first = 0
     for part in range(1, ROUNDS):
-        over = _over_itself(found)
-        if not len(over):
-            break
+        over, first = _over_itself(found, first), int(found.chart.max()) + 1
         for number in over:
             some = np.flatnonzero(found.chart == number)
-            found.uv[some], found.chart[some] = np.nan, -1
             _fill(found, positions, faces, some, name, 0.25**part)
+            left = some[found.chart[some] == number]
+            found.uv[left], found.chart[left] = np.nan, -1
     if not (found.chart >= 0).any():
         raise InputError(f"{name} cannot be unwrapped, it has no face but slivers: give it texture coordinates")
     # Each in a place of its own, or two could meet in one after they have been scaled.
@@ -153,9 +150,9 @@ def _charts(
     return none
 
 
-def _over_itself(found: Flat) -> Int[np.ndarray, "n"]:
-    """The charts that have two faces at one place."""
-    kept = np.flatnonzero(found.chart >= 0)
+def _over_itself(found: Flat, first: int) -> Int[np.ndarray, "n"]:
+    """The charts from number `first` on that have two faces at one place."""
+    kept = np.flatnonzero(found.chart >= first)
     _, chart, faces = np.unique(found.chart[kept], return_inverse=True, return_counts=True)
     # One or two faces do not lie over each other.
     kept, chart = kept[faces[chart] > 2], chart[faces[chart] > 2]
@@ -169,13 +166,7 @@ def _over_itself(found: Flat) -> Int[np.ndarray, "n"]:
     share = (found.uv[kept] - low[chart][:, None]) / np.maximum(high - low, 1e-300)[chart][:, None]
     uv = (0.01 + 0.98 * share + tile[chart][:, None]) / across
     side = max(LOOKED, 8 * across)
-    # Samples are of the first face that they lie in: those of the last are others where there are two.
-    first = rasterise(uv, chart, side, side, 1)
-    last = rasterise(uv[::-1], chart[::-1], side, side, 1)
-    assert (first.texel == last.texel).all()
-    differ = (first.face[:, 0] != len(uv) - 1 - last.face[:, 0]) & first.own[:, 0]
-    differ &= (first.weights[:, 0].min(-1) > WITHIN) & (last.weights[:, 0].min(-1) > WITHIN)
-    result: np.ndarray = np.unique(numbers[chart[first.face[differ, 0]]])
+    result: np.ndarray = np.unique(numbers[chart[faces_twice(uv, side, side)]])
     return result
 
 
