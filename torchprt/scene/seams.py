@@ -45,9 +45,9 @@ def seams(
     """The seams of a surface whose faces are at `uv` of a map, as far as `width` beyond, in the unit of `uv`.
 
     A seam is an edge of two faces, wound alike and with `normals` (of the corners of faces) that agree, that are at
-    different places of the map. Each is there from either side as several strips along the edge, the shallow ones of all
-    seams before the deep ones, so that the first that covers a place is that of the nearest seam, or nearly so; and of
-    each depth once more as much longer, which fills the gaps where a border turns.
+    different places of the map. Each is there from either side as several strips along the edge, the shallow ones of
+    all seams before the deep ones, so that the first that covers a place is that of the nearest seam, or nearly so; and
+    of each depth once more as much longer, which fills the gaps where a border turns.
     """
     face, corner, other, other_corner = _pairs(positions, faces, normals, uv)
     outward, _, _ = _outward(positions, faces, uv, face, corner)
