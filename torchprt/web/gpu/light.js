@@ -13,7 +13,7 @@ export function rowsOf(quaternion) {
 
 /**
  * A light: `coefficients`, N x 3 numbers, N = order^2, of linear radiance, in rows or flat, as torchprt has them;
- * `quaternion` turns it, `intensity` scales it.
+ * `quaternion` turns it, `intensity` scales it. `exposure` is what suits it, in stops, and changes nothing by itself.
  */
 export class PRTLight {
   constructor(coefficients, name = "") {
@@ -26,6 +26,7 @@ export class PRTLight {
     this.name = name;
     this.quaternion = new Quaternion();
     this.intensity = 1;
+    this.exposure = 0;
   }
 
   /**
@@ -67,7 +68,9 @@ export async function loadLights(url) {
   const bytes = new Uint8Array(buffer);
   if (bytes[0] === 0x93) return [new PRTLight(readArray(buffer, url), String(url))];
   const { environments } = JSON.parse(new TextDecoder().decode(bytes));
-  return environments.map(({ name, coefficients }) => new PRTLight(coefficients, name));
+  return environments.map(({ name, coefficients, exposure = 0 }) =>
+    Object.assign(new PRTLight(coefficients, name), { exposure }),
+  );
 }
 
 /** The numbers of an .npy of float32 or float64, little-endian, as numpy writes it. */
