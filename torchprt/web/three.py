@@ -89,7 +89,9 @@ def module() -> str:
             for name in found.split(",")
             if name.strip()
         }
-        bodies.append(_IMPORT.sub("", text).replace("@prt.glsl", _text("gpu/prt.glsl")).strip())
+        # Inside of a template.
+        functions = re.sub(r"([`\\$])", r"\\\1", _text("gpu/prt.glsl"))
+        bodies.append(_IMPORT.sub("", text).replace("@prt.glsl", functions).strip())
     three = "import {\n  " + ",\n  ".join(sorted(names)) + ",\n} from \"three\";\n"
     return HEADER.format(version=VERSION) + three + "\n" + "\n\n".join(bodies) + "\n"
 

@@ -12,8 +12,8 @@ export function parseTransfer(buffer) {
     throw new Error("This is no transfer for shaders, or a newer one: write it with torchprt export --three.");
   }
   const tensors = {};
+  delete header.__metadata__;
   for (const [name, { dtype, shape, data_offsets: [first, end] }] of Object.entries(header)) {
-    if (name === "__metadata__") continue;
     if (8 + length + end > buffer.byteLength) throw new Error("This is half of a transfer: copy the file again.");
     tensors[name] = { type: dtype, shape, data: new ARRAYS[dtype](buffer.slice(8 + length + first, 8 + length + end)) };
   }
