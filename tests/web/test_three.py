@@ -61,14 +61,14 @@ def atlas_of(rows=24):
     )
 
 
-def smooth_vectors(channels, order, places):
+def smooth_vectors(channels, order, places, contrast=0.2):
     """Random transfer that is smooth over a surface."""
     generator = torch.Generator().manual_seed(channels + order)
     band = torch.arange(order).repeat_interleave(2 * torch.arange(order) + 1)
     waves = torch.randn(channels, order**2, 3, generator=generator)
     values = torch.sin(2 * (waves @ places.float().T) + torch.randn(channels, order**2, 1, generator=generator))
     values[:, 0] = 0.3 + 0.05 * values[:, 0]
-    return torch.cat([values[:, :1], 0.2 * values[:, 1:] / (1 + band[1:, None]) ** 2], 1)
+    return torch.cat([values[:, :1], contrast * values[:, 1:] / (1 + band[1:, None]) ** 2], 1)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def cases() -> dict[str, Transfer]:
     )
     limb = bake(samples.cylinder(20), order=4, rays=64, progress=False)
     atlas = atlas_of()
-    mapped = Diffuse(albedo=torch.full((1, 1), 0.7), signal=Dense(values=smooth_vectors(1, 3, atlas.positions)))
+    mapped = Diffuse(albedo=torch.full((1, 1), 0.7), signal=Dense(values=smooth_vectors(1, 3, atlas.positions, 0.5)))
     return {
         "attributes": plane,
         "dense": plane,
@@ -180,15 +180,18 @@ def check_pixels(found, positions, faces, radiance, camera, *, at_places=None, m
     still = Still(positions.float(), faces, size=(PIXELS, PIXELS), camera=camera, samples=1)
     values = still.radiance(radiance.float(), background=0.0) if at_places is None else at_places(still)
     covered = still.radiance(torch.ones(len(positions), 3), background=0.0)[..., 0].numpy() > 0.5
+    # Where one part of the surface stands before another, rays and rasterised triangles disagree about a pixel.
+    places = still.radiance(positions.float(), background=0.0).numpy()
+    step = sum(np.abs(np.diff(places, axis=axis, append=0)).max(-1) for axis in (0, 1))
+    covered &= step < 6 * np.median(step[binary_erosion(covered)])
     inside = binary_erosion(covered, iterations=2)
     linear = values.double().clamp(0, 1)
     encoded = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     expected = (255 * encoded.numpy()).round()
-    assert inside.sum() > 4000
+    assert inside.sum() > 3000
     assert np.ptp(expected[inside]) > 50
     apart = np.abs(found - expected)[inside].max(-1)
-    # Rays and triangles that are rasterised disagree about a few pixels at edges inside.
-    assert np.quantile(apart, 0.995) <= most, (apart.max(), np.quantile(apart, 0.99))
+    assert apart.max() <= most
 
 
 def draw(tab, name, camera, exposure=0.3, turned=True):
@@ -220,6 +223,10 @@ def test_the_example_runs_from_a_plain_folder_and_asks_nothing_of_others(tab):
 def test_every_pixel_is_that_of_torch(tab, cases, name):
     transfer = cases[name].to_order(3) if name == "attributes" else cases[name]
     camera = camera_of(transfer)
+    if "eye" in transfer.needs:
+        # From above, where no part of it hides another.
+        away = float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+        camera = Camera((0.1 * away, 0.95 * away, 0.3 * away), camera.target, field=camera.field)
     found, radiance = draw(tab, name, camera)
     count = transfer.order**2
     lamp = sh.rotate(LIGHT[:count].double(), TURN) * 0.3
