@@ -96,6 +96,11 @@ def module() -> str:
     return HEADER.format(version=VERSION) + three + "\n" + "\n\n".join(bodies) + "\n"
 
 
+def gpu_text(name: str) -> str:
+    """A file of those that the module and its pages are made of."""
+    return _text(f"gpu/{name}")
+
+
 def _text(name: str) -> str:
     return (resources.files("torchprt.web") / name).read_text(encoding="utf-8")
 
@@ -137,7 +142,7 @@ def export_three(
         read = transfer.to_order(order) if made is None and order is not None else None if made is None else made.transfer
         assert read is not None
         bands = read.order**2
-        error = _apart(transfer.to_order(read.order), read, coefficients[:, :bands].double())
+        error = apart(transfer.to_order(read.order), read, coefficients[:, :bands])
     with atomic_folder(target) as new:
         (new / MODULE).write_text(module(), encoding="utf-8")
         for name in THREE:
@@ -194,15 +199,15 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
     preview.save_glb(positions, normals, faces, path, colour=colour, attributes=numbers, extras=extras)
 
 
-def _apart(transfer: Transfer, read: Transfer, lights: Tensor) -> float:
-    """RMS of what radiance differs by over its RMS, in the worst of `lights`, in float64 (as a posed one at rest)."""
+def apart(transfer: Transfer, read: Transfer, lights: Tensor) -> float:
+    """RMS of what radiance differs by over its RMS, in the worst of `lights [B, N, 3]`, in float64, at rest."""
     eye = None
     if "eye" in transfer.needs:
         eye = torch.tensor(preview.frame(preview.subject(transfer.receivers), aspect=1.0).eye, dtype=torch.float64)
     worst = 0.0
     with torch.no_grad():
         one, other = (shader(each).double() for each in (transfer, read))
-        for light in lights:
+        for light in lights.double():
             a, b = (each(light, eye=eye) if eye is not None else each(light) for each in (one, other))
             size = float(a.square().mean())
             worst = max(worst, float((a - b).square().mean() / size) ** 0.5 if size > 0 else 0.0)
