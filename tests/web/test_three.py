@@ -103,6 +103,8 @@ def site(libraries, cases, tmp_path_factory):
     for name, transfer in cases.items():
         order = 3 if name == "attributes" else None
         web.export_three(transfer, folder / name, order=order, check=False, exact=name == "packed")
+    packed = compress(cases["exit"], clusters=4, components=6)
+    web.export(cases["exit"], folder / "page", compressed=packed, check=False, gpu=True)
     np.save(folder / "sky.npy", LIGHT.numpy())
     return folder
 
@@ -135,7 +137,7 @@ it.load = async (name) => {
 /** Pixels of an object under a camera of Python, as bytes in a string. */
 it.shoot = (object, { eye, target, field }, model) => {
   const { renderer } = it;
-  const size = %d;
+  const size = PIXELS;
   renderer.toneMapping = THREE.NoToneMapping;
   renderer.setPixelRatio(1);
   renderer.setSize(size, size, false);
@@ -154,8 +156,9 @@ it.shoot = (object, { eye, target, field }, model) => {
   return Array.from(values, (value) => String.fromCharCode(value)).join("");
 };
 /** Turned as the row-major matrix. */
-it.turn = (rows) => new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().set(...rows.slice(0, 3), 0, ...rows.slice(3, 6), 0, ...rows.slice(6), 0, 0, 0, 0, 1));
-""" % PIXELS  # fmt: skip
+it.turn = ([a, b, c, d, e, f, g, h, i]) =>
+  new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().set(a, b, c, 0, d, e, f, 0, g, h, i, 0, 0, 0, 0, 1));
+""".replace("PIXELS", str(PIXELS))
 
 
 def bytes_of(text):
@@ -274,7 +277,8 @@ def test_a_set_of_lightmaps_adds_up_what_each_light_brings(tab, cases):
         const model = await it.load("atlas");
         const {{ THREE }} = it;
         const maps = {json.dumps([each.flatten().tolist() for each in four])}.map((data) =>
-          new THREE.DataTexture(Float32Array.from(data), {atlas.columns}, {atlas.rows}, THREE.RGBAFormat, THREE.FloatType));
+          new THREE.DataTexture(
+            Float32Array.from(data), {atlas.columns}, {atlas.rows}, THREE.RGBAFormat, THREE.FloatType));
         const material = it.module.lightmapMaterial(maps);
         const weights = {json.dumps(lamp.tolist())};
         material.uniforms.prtWeights.value.forEach((each, i) => each.set(...weights[i]));
@@ -308,10 +312,11 @@ def test_lobes_turn_with_the_bones_of_a_skinned_mesh(tab, cases):
         let plain;
         scene.traverse((each) => {{ if (each.isMesh) plain = each; }});
         const weights = {flat(weights)};
-        const count = weights.length / 2;
+        const shares = Array.from(weights, (_, i) => (i % 2 ? [] : [weights[i], weights[i + 1], 0, 0])).flat();
+        const bonesOf = shares.map((_, i) => (i % 4 === 1 ? 1 : 0));
         const geometry = plain.geometry;
-        geometry.setAttribute("skinIndex", new THREE.Uint16BufferAttribute(Array.from({{ length: count }}, () => [0, 1, 0, 0]).flat(), 4));
-        geometry.setAttribute("skinWeight", new THREE.Float32BufferAttribute(Array.from({{ length: count }}, (_, i) => [weights[2 * i], weights[2 * i + 1], 0, 0]).flat(), 4));
+        geometry.setAttribute("skinIndex", new THREE.Uint16BufferAttribute(bonesOf, 4));
+        geometry.setAttribute("skinWeight", new THREE.Float32BufferAttribute(shares, 4));
         const skinned = new THREE.SkinnedMesh(geometry, plain.material);
         const bones = [new THREE.Bone(), new THREE.Bone()];
         const object = new THREE.Group().add(skinned, ...bones);
@@ -352,6 +357,26 @@ def test_light_is_turned_and_projected_as_in_python(tab):
     np.testing.assert_allclose(np.reshape(projected, (-1, 3)), expected, **close)
 
 
+def test_a_page_that_shades_in_webgl_shows_what_torch_computes(browser, site, cases):
+    with at(site) as root:
+        page = browser.new_page(viewport=SIZE)
+        tab = Visit(page).open(f"{root}/page/")
+        tab.drag(90, 40, button="right")
+        tab.drag(60, -20)
+        assert tab.complaints == []
+        assert not [url for url in tab.requests if "ort." in url or "onnx" in url]
+        values = torch.tensor(tab.ask("return Array.from(it.light.coefficients);")).double().reshape(-1, 3)
+        for mode, transfer in (("transfer", cases["exit"]), ("compressed", cases["packed"])):
+            tab.page.click(f"#modes input[value={mode}]")
+            found = np.reshape(tab.radiance(), (-1, 3))
+            rotation, eye = tab.ask("return [it.rotation, it.view.eye.toArray()];")
+            lamp = sh.rotate(values, torch.tensor(rotation).double().reshape(3, 3))
+            expected = shader(web.shader_file(transfer).transfer).double()(lamp, eye=torch.tensor(eye).double())
+            np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * float(expected.abs().max()))
+        assert "WebGL 2" in tab.page.inner_text("#statistics")
+        page.close()
+
+
 def test_faults_are_sentences(tab):
     for script, words in (
         ("it.module.parseTransfer(new ArrayBuffer(4))", "no transfer, or half of one"),
@@ -360,4 +385,3 @@ def test_faults_are_sentences(tab):
     ):
         said = tab.ask(f"try {{ {script} }} catch (fault) {{ return fault.message; }} return null;")
         assert words in (said or ""), said
-

@@ -76,8 +76,8 @@ def exit_recurrence(order: int, projection: Projection = "optimal") -> tuple[Ten
     `sectoral [order]`, float64. With e_00 = sectoral_0 and, in the local direction (x, y, z),
 
     - e_lm = (slope z + level) e_(l-1)m - across e_(l-2)m for |m| < l,
-    - e_l-l = sectoral_l (x e_(l-1)-(l-1) + y e_(l-1)(l-1)), e_ll = sectoral_l (x e_(l-1)(l-1) - y e_(l-1)-(l-1)), without
-      e_(l-1)-(l-1) at l = 1.
+    - e_l-l = sectoral_l (x e_(l-1)-(l-1) + y e_(l-1)(l-1)), e_ll = sectoral_l (x e_(l-1)(l-1) - y e_(l-1)-(l-1)); at
+      l = 1 without e_(l-1)-(l-1).
 
     Of "reduced" it gives all N, with l = 1, m = 0, which is no exit function of it.
     Raises InputError as `exit_functions` does.

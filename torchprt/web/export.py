@@ -146,7 +146,9 @@ def export(
     shaded = [shader_file(each, exact=exact) for each in (full, packed) if each is not None] if gpu else []
     half = None
     if gpu and check and not exact:
-        half = max(apart(each, file.transfer, coefficients) for each, file in zip((full, packed), shaded) if each)
+        half = apart(full, shaded[0].transfer, coefficients)
+        if packed is not None:
+            half = max(half, apart(packed, shaded[1].transfer, coefficients))
     foreign = libraries()
     with atomic_folder(target) as made:
         page = str(resources.files("torchprt.web") / "page")

@@ -57,7 +57,9 @@ def shader_file(transfer: Transfer, *, exact: bool = False) -> ShaderFile:
     for number, (name, layer) in enumerate(transfer.layers.items()):
         said, arrays, stored = _layer(layer, transfer.receivers, kind)
         if said["signal"] == Zonal.kind and (len(transfer.layers) > 1 or said["kind"] != Diffuse.kind):
-            raise InputError("shaders draw zonal lobes of one diffuse layer alone: export .onnx, or fit the diffuse one")
+            raise InputError(
+                "shaders draw zonal lobes of one diffuse layer alone: export .onnx, or fit the diffuse one"
+            )
         layers.append(said)
         read[name] = stored
         tensors |= {f"{number}.{key}": value for key, value in arrays.items()}
@@ -102,7 +104,9 @@ def _(receivers: Atlas, exact: bool) -> tuple[dict[str, Any], Arrays]:
     sources, shares = torch.zeros(max(gutter, 1), 4), torch.zeros(max(gutter, 1), 4)
     sources[:gutter], shares[:gutter] = receivers.gutter_sources.float(), receivers.gutter_weights.float()
     if count >= 1 << 24:
-        raise InputError(f"the map has {count} texels with transfer, and shaders count to {1 << 24}: bake a smaller one")
+        raise InputError(
+            f"the map has {count} texels with transfer, and shaders count to {1 << 24}: bake a smaller one"
+        )
     said = {"receivers": "atlas", "count": count, "rows": receivers.rows, "columns": receivers.columns}
     return said, {
         "place": place.numpy().astype("<u4"),
@@ -148,7 +152,9 @@ def _(layer: Diffuse, receivers: Receivers) -> tuple[dict[str, Any], Arrays, Lay
 @_seen.register
 def _(layer: Exit, receivers: Receivers) -> tuple[dict[str, Any], Arrays, Layer]:
     if layer.output_order**2 > MOST_ROWS:
-        raise InputError(f"shaders take exit functions of order 8 at most, not {layer.output_order}: bake a lower order")
+        raise InputError(
+            f"shaders take exit functions of order 8 at most, not {layer.output_order}: bake a lower order"
+        )
     index = layer.index(receivers.count)
     frames, has_frame = local_frames(receivers.normals[index], layer.tangents)
     table, sectoral = exit_recurrence(layer.output_order, layer.projection)

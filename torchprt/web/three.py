@@ -44,7 +44,7 @@ THREE = (
 PARTS = ("page/sh.js", "page/project.js", *(
     f"gpu/{name}.js" for name in ("prt", "light", "file", "textures", "shading", "material", "model")
 ))  # fmt: skip
-HEADER = """// torchprt {version}: baked light transfer in scenes of three.js. Copy this file; it imports nothing but three.
+HEADER = """// torchprt {version}: baked light transfer in scenes of three.js. Copy this file; it imports three alone.
 // Made by docs/make/gpu.py from torchprt/web/page and torchprt/web/gpu: change it there. MIT licence.
 // docs/gpu.md of torchprt shows how it is used.
 """
@@ -55,8 +55,8 @@ _IMPORT = re.compile(r'^import \{([^}]*)\} from "([^"]+)";\n', re.MULTILINE)
 class ThreeReport:
     """What was written: `bytes` of all files, `model_bytes` of mesh and transfer alone, `transfer_bytes` of the latter.
 
-    `error`: what half precision costs, RMS of radiance relative to its RMS against torch in float64, in the worst of
-    the lights; None if nothing was compared.
+    `error`: what half precision (of attributes: bands that are left out) costs, RMS of radiance relative to its RMS
+    against torch in float64, in the worst of the lights; None if nothing was compared.
     """
 
     folder: Path
@@ -64,7 +64,6 @@ class ThreeReport:
     model_bytes: int
     transfer_bytes: int
     error: float | None
-    kept: str = ""
 
     def __str__(self) -> str:
         lost = "" if self.error is None else f"; radiance is off by {self.error:.1e} of its RMS in the worst light"
@@ -92,7 +91,7 @@ def module() -> str:
         # Inside of a template.
         functions = re.sub(r"([`\\$])", r"\\\1", _text("gpu/prt.glsl"))
         bodies.append(_IMPORT.sub("", text).replace("@prt.glsl", functions).strip())
-    three = "import {\n  " + ",\n  ".join(sorted(names)) + ",\n} from \"three\";\n"
+    three = "import {\n  " + ",\n  ".join(sorted(names)) + ',\n} from "three";\n'
     return HEADER.format(version=VERSION) + three + "\n" + "\n\n".join(bodies) + "\n"
 
 
@@ -135,14 +134,10 @@ def export_three(
     if not lights:
         raise InputError("a scene needs a light: give one environment or more")
     coefficients = torch.stack([of_order(each, transfer.order) for each in lights])
-    made = None if order is not None else shader_file(transfer, exact=exact)
+    made = shader_file(transfer, exact=exact) if order is None else None
     foreign = libraries()
-    error = None
-    if check:
-        read = transfer.to_order(order) if made is None and order is not None else None if made is None else made.transfer
-        assert read is not None
-        bands = read.order**2
-        error = apart(transfer.to_order(read.order), read, coefficients[:, :bands])
+    read = transfer if made is None else made.transfer
+    error = apart(transfer, read if order is None else read.to_order(order), coefficients) if check else None
     with atomic_folder(target) as new:
         (new / MODULE).write_text(module(), encoding="utf-8")
         for name in THREE:
@@ -182,7 +177,9 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
     if receivers.kind == "atlas":
         atlas = receivers.as_atlas()
         # A vertex of the file for every vertex and place on the map.
-        corners = torch.cat([faces.long()[..., None].double(), atlas.mesh_uv.nan_to_num(0.0).double()], -1).flatten(0, 1)
+        corners = torch.cat([faces.long()[..., None].double(), atlas.mesh_uv.nan_to_num(0.0).double()], -1).flatten(
+            0, 1
+        )
         unique, place = torch.unique(corners, dim=0, return_inverse=True)
         index = unique[:, 0].long()
         attributes = {"TEXCOORD_0": unique[:, 1:]}
@@ -190,7 +187,9 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
         preview.save_glb(positions[index], normals[index], faces, path, attributes=attributes, extras=extras)
         return
     if receivers.count >= 1 << 24:
-        raise InputError(f"the transfer has {receivers.count} vertices, and shaders count to {1 << 24}: split the scene")
+        raise InputError(
+            f"the transfer has {receivers.count} vertices, and shaders count to {1 << 24}: split the scene"
+        )
     numbers = {"_PRT_ID": torch.arange(receivers.count, dtype=torch.float64)[:, None]}
     if asset is not None:
         keep_attributes(asset, transfer, numbers, extras).save(path)
@@ -200,7 +199,8 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
 
 
 def apart(transfer: Transfer, read: Transfer, lights: Tensor) -> float:
-    """RMS of what radiance differs by over its RMS, in the worst of `lights [B, N, 3]`, in float64, at rest."""
+    """RMS of what radiance differs by over its RMS, in the worst of `lights [B, N, 3]`, in float64, at rest; `read` may
+    be of a lower order."""
     eye = None
     if "eye" in transfer.needs:
         eye = torch.tensor(preview.frame(preview.subject(transfer.receivers), aspect=1.0).eye, dtype=torch.float64)
@@ -208,7 +208,8 @@ def apart(transfer: Transfer, read: Transfer, lights: Tensor) -> float:
     with torch.no_grad():
         one, other = (shader(each).double() for each in (transfer, read))
         for light in lights.double():
-            a, b = (each(light, eye=eye) if eye is not None else each(light) for each in (one, other))
+            lamps = (light[: each.order**2] for each in (one, other))
+            a, b = (each(lamp, eye=eye) for each, lamp in zip((one, other), lamps, strict=True))
             size = float(a.square().mean())
             worst = max(worst, float((a - b).square().mean() / size) ** 0.5 if size > 0 else 0.0)
     return worst
