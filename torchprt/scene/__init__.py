@@ -8,6 +8,7 @@ from .energy import EnergyWarning
 from .geometry import Geometry
 from .glosses import Glosses
 from .height_field import height_field, read_heights, tiled
+from .lightmap import Lightmap
 from .material import Material
 from .material_file import read_material
 from .mesh import Mesh, make_mesh
@@ -28,6 +29,7 @@ __all__ = [
     "EnergyWarning",
     "Geometry",
     "Glosses",
+    "Lightmap",
     "Look",
     "Material",
     "Mesh",

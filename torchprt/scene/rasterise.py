@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .seams import Seams
+
 # Samples that are looked at together.
-BLOCK = 1 << 22
+BLOCK = 1 << 20
 # In texels: what is covered by less is not covered, and what overlaps by less does not overlap.
 SLACK = 1e-4
 # How far a point on the border of a chart is moved toward the middle of its face, as a share of the way.
@@ -21,10 +23,10 @@ class Raster:
     """The texels that faces cover, each with S = k * k samples.
 
     - `texel [V]`: their numbers, row * columns + column, ascending; each is of one chart.
-    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would lie
-      beside the chart repeat others of the same texel.
-    - `covered [V]`: how many of the S samples lie in the chart, at their own places; 0 where the chart only touches the
-      texel: all samples are then the point of it that is nearest to the middle.
+    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would
+      lie beside the chart repeat others of the same texel.
+    - `own [V, S]`: which samples lie in the chart, at their own places of a regular grid, row after row; none where the
+      chart only touches the texel: all samples are then the point of it that is nearest to the middle.
     - `twice`: how many texels have a sample in several faces.
     - `lost [F]`: faces that have no texel of their own, because others fill theirs.
     """
@@ -32,9 +34,45 @@ class Raster:
     texel: Int[np.ndarray, "V"]
     face: Int[np.ndarray, "V S"]
     weights: Float[np.ndarray, "V S 3"]
-    covered: Int[np.ndarray, "V"]
+    own: Bool[np.ndarray, "V S"]
     twice: int
     lost: Bool[np.ndarray, "F"]
+
+    @property
+    def covered(self) -> Int[np.ndarray, "V"]:
+        """How many samples of each lie in its chart."""
+        count: np.ndarray = self.own.sum(axis=1)
+        return count
+
+
+def with_seams(
+    raster: Raster, beyond: Seams, chart: Int[np.ndarray, "F"], rows: int, columns: int, across: int
+) -> Raster:
+    """The same whose samples beside a chart lie on the surface beyond its seams, where it goes on there: so that what a
+    texel holds is of its middle also on the border of a chart. `beyond`: in texels, as far as 1."""
+    if not len(beyond.uv) or bool(raster.own.all()):
+        return raster
+    size = np.array([columns, rows])
+    found = rasterise(beyond.uv / size, np.arange(len(beyond.uv)), rows * across, columns * across, 1)
+    inside = found.covered > 0
+    sample, which, shares = found.texel[inside], found.face[inside, 0], found.weights[inside, 0]
+    row, column = sample // (columns * across), sample % (columns * across)
+    texel = row // across * columns + column // across
+    slot = row % across * across + column % across
+    at = np.searchsorted(raster.texel, texel).clip(max=len(raster.texel) - 1)
+    mine = (raster.texel[at] == texel) & ~raster.own[at, slot]
+    mine &= chart[raster.face[at, 0]] == chart[beyond.face[which]]
+    at, slot, which, shares = at[mine], slot[mine], which[mine], shares[mine]
+    face, weights, own = raster.face.copy(), raster.weights.copy(), raster.own.copy()
+    face[at, slot] = beyond.other[which]
+    there = (beyond.weights[which] * shares[..., None]).sum(1).clip(min=0)
+    weights[at, slot] = there / there.sum(1, keepdims=True)
+    own[at, slot] = True
+    changed = np.unique(at)
+    chosen = instead(own[changed])
+    face[changed] = np.take_along_axis(face[changed], chosen, axis=1)
+    weights[changed] = np.take_along_axis(weights[changed], chosen[..., None], axis=1)
+    return Raster(raster.texel, face, weights, own, raster.twice, raster.lost)
 
 
 def rasterise(
@@ -46,23 +84,24 @@ def rasterise(
     A texel is of the `chart` that most of its samples are in, or, where there is none, of that which is nearest to its
     middle. Faces whose coordinates are missing (NaN) or outside of the square cover what lies inside.
     Laws: samples on the edge of two faces are of the first; a map of twice the size and half the `across` has the same
-    samples. Time and memory: of the samples of the map, 5 bytes each, and of those that are covered.
+    samples. Time and memory: of the samples of the map, 10 bytes each, and of those that are covered.
     """
     known = np.isfinite(uv).all(axis=(1, 2))
     corners = np.where(known[:, None, None], uv, 0.0) * [columns, rows]
     cover, twice = _covers(corners * across, known, rows * across, columns * across, across)
-    texel, face, slot, covered = _texels(cover, chart, across)
-    weights = _weights(corners, face, _places(texel, slot, columns, across))
+    texel, face, slot, own = _texels(cover, chart, across)
+    del cover
+    weights = _weights(corners, texel, face, slot, columns, across)
     more, nearest, near_weights = _touched(corners, known, rows, columns, texel)
-    repeated = np.repeat(nearest[:, None], across**2, axis=1)
+    repeated = np.repeat(nearest[:, None].astype(np.int32), across**2, axis=1)
     texel = np.concatenate([texel, more])
     order = np.argsort(texel, kind="stable")
     face = np.concatenate([face, repeated])[order]
-    weights = np.concatenate([weights, np.repeat(near_weights[:, None], across**2, axis=1)])[order]
+    weights = np.concatenate([weights, np.repeat(near_weights[:, None].astype(np.float32), across**2, axis=1)])[order]
     lost = known.copy()
     lost[face.ravel()] = False
-    covered = np.concatenate([covered, np.zeros(len(more), covered.dtype)])[order]
-    return Raster(texel[order], face, weights, covered, twice, lost)
+    own = np.concatenate([own, np.zeros((len(more), across**2), bool)])[order]
+    return Raster(texel[order], face, weights, own, twice, lost)
 
 
 def _covers(
@@ -73,6 +112,7 @@ def _covers(
     cover = np.full(rows * columns, none, np.int32)
     several = np.zeros(rows * columns, bool)
     inside = np.zeros(rows * columns, bool)
+    last_turn = np.zeros(rows * columns, np.int32)
     for face, row in _rows_of(corners[..., 1] - 0.5, known, rows, closed=True):
         low, high = _span(corners[face], row + 0.5)
         first = np.clip(np.ceil(low - 0.5), 0, columns).astype(np.int64)
@@ -84,16 +124,15 @@ def _covers(
             margin = SLACK * across
             strictly = (x > low[some] + margin) & (x < high[some] - margin)
             strictly &= (y > heights.min(1) + margin) & (y < heights.max(1) - margin)
-            deep = cell[strictly]
+            deep, turn = cell[strictly], np.arange(int(strictly.sum()), dtype=np.int32)
             several[deep[inside[deep]]] = True
-            # Twice in one go.
-            seen, count = np.unique(deep, return_counts=True)
-            several[seen[count > 1]] = True
+            # Twice in one go: the last write wins.
+            last_turn[deep] = turn
+            several[deep[last_turn[deep] != turn]] = True
             inside[deep] = True
-            # The last write wins, so the first face is written last.
-            order = np.argsort(-face[some], kind="stable")
-            taken = cell[order]
-            cover[taken] = np.minimum(cover[taken], face[some][order])
+            # Faces ascend, and what is written last is to be the first.
+            first_face = np.minimum(cover[cell], face[some])
+            cover[cell[::-1]] = first_face[::-1]
     cover[cover == none] = -1
     blocks = several.reshape(rows // across, across, columns // across, across)
     return cover.reshape(rows, columns), int(blocks.any(axis=(1, 3)).sum())
@@ -156,43 +195,57 @@ def _texels(
     cover: Int[np.ndarray, "rows columns"], chart: Int[np.ndarray, "F"], across: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Texels with a sample in a face, ascending: of each the faces and places (numbers within the texel) of S samples,
-    and how many of them are its own."""
+    and which of them are its own. A strip of rows at a time."""
     rows, columns = cover.shape[0] // across, cover.shape[1] // across
-    blocks = cover.reshape(rows, across, columns, across)
-    texel = np.flatnonzero((blocks >= 0).any(axis=(1, 3)))
-    samples = blocks.transpose(0, 2, 1, 3).reshape(rows * columns, across**2)[texel]
-    number = np.where(samples >= 0, chart[samples], -1)
-    votes = sum((number == number[:, [at]]).astype(np.int8) for at in range(across**2))
-    votes = np.where(number >= 0, votes, 0)
-    most = votes.max(axis=1, keepdims=True, initial=0)
-    # Of charts with as many samples the first.
-    winner = np.where(votes == most, number, np.iinfo(number.dtype).max).min(axis=1, keepdims=True, initial=2**31 - 1)
-    own = number == winner
-    covered = own.sum(axis=1)
+    strip = max(1, BLOCK // (columns * across**2))
+    parts = []
+    for first in range(0, rows, strip):
+        some = cover[first * across : (first + strip) * across].reshape(-1, across, columns, across)
+        samples = some.transpose(0, 2, 1, 3).reshape(-1, across**2)
+        texel = np.flatnonzero((samples >= 0).any(axis=1))
+        samples = samples[texel]
+        number = np.where(samples >= 0, chart[samples], -1)
+        own = number == _winner(number)[:, None]
+        slot = instead(own)
+        parts.append((texel + first * columns, np.take_along_axis(samples, slot, axis=1), slot.astype(np.int8), own))
+    none = np.zeros(0, np.int64), np.zeros((0, across**2), np.int32), np.zeros((0, across**2), np.int8)
+    joined = zip(*[(*none, np.zeros((0, across**2), bool)), *parts], strict=True)
+    texel, face, slot, own = (np.concatenate(part) for part in joined)
+    return texel, face, slot, own
+
+
+def _winner(number: Int[np.ndarray, "V S"]) -> Int[np.ndarray, "V"]:
+    """The chart that most samples of each texel are of, of several the first; -1 is none."""
+    votes = np.stack([(number == each[:, None]).sum(axis=1, dtype=np.int16) for each in number.T], axis=1)
+    votes[number < 0] = 0
+    most = votes == votes.max(axis=1, keepdims=True, initial=0)
+    result: np.ndarray = np.where(most, number, np.iinfo(number.dtype).max).min(axis=1, initial=2**31 - 1)
+    return result
+
+
+def instead(own: Bool[np.ndarray, "V S"]) -> Int[np.ndarray, "V S"]:
+    """Which sample of a texel stands for each: itself if it is its own, else one of those that are, in turn."""
     ranked = np.argsort(~own, axis=1, kind="stable")
-    place = np.arange(across**2)
-    instead = np.take_along_axis(ranked, place[None] % covered[:, None], axis=1)
-    slot = np.where(own, place, instead)
-    return texel, np.take_along_axis(samples, slot, axis=1), slot, covered
-
-
-def _places(
-    texel: Int[np.ndarray, "V"], slot: Int[np.ndarray, "V S"], columns: int, across: int
-) -> Float[np.ndarray, "V S 2"]:
-    """Where samples are on the map, in texels."""
-    x = (texel % columns)[:, None] + (slot % across + 0.5) / across
-    y = (texel // columns)[:, None] + (slot // across + 0.5) / across
-    return np.stack([x, y], axis=-1)
+    place = np.arange(own.shape[1])
+    others = np.take_along_axis(ranked, place[None] % np.maximum(own.sum(axis=1), 1)[:, None], axis=1)
+    return np.where(own, place, others)
 
 
 def _weights(
-    corners: Float[np.ndarray, "F 3 2"], face: Int[np.ndarray, "V S"], places: Float[np.ndarray, "V S 2"]
+    corners: Float[np.ndarray, "F 3 2"],
+    texel: Int[np.ndarray, "V"],
+    face: Int[np.ndarray, "V S"],
+    slot: Int[np.ndarray, "V S"],
+    columns: int,
+    across: int,
 ) -> Float[np.ndarray, "V S 3"]:
-    """Weights of the corners of faces at places in them."""
-    result = np.empty((*face.shape, 3))
-    for some in np.array_split(np.arange(len(face)), len(face) // (1 << 18) + 1):
+    """Weights of the corners of faces at the samples in them."""
+    result = np.empty((*face.shape, 3), np.float32)
+    for some in np.array_split(np.arange(len(face)), face.size // BLOCK + 1):
+        x = (texel[some] % columns)[:, None] + (slot[some] % across + 0.5) / across
+        y = (texel[some] // columns)[:, None] + (slot[some] // across + 0.5) / across
+        p = np.stack([x, y], axis=-1)
         a, b, c = np.moveaxis(corners[face[some]], -2, 0)
-        p = places[some]
         parts = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1)
         # Rounding leaves a sample on an edge a little outside.
         parts = np.maximum(parts * np.sign(parts.sum(-1, keepdims=True)), 0)
@@ -225,9 +278,13 @@ def _touched(
             cell = row[some] * columns + column
             open = free[cell]
             pairs.append((cell[open], face[some][open]))
-    cell, face = (np.concatenate([np.zeros(0, np.int64), *part]) for part in zip(*pairs, strict=True)) if pairs else (
-        np.zeros(0, np.int64),
-        np.zeros(0, np.int64),
+    cell, face = (
+        (np.concatenate([np.zeros(0, np.int64), *part]) for part in zip(*pairs, strict=True))
+        if pairs
+        else (
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+        )
     )
     middle = np.stack([cell % columns + 0.5, cell // columns + 0.5], axis=-1)
     weights, distance = _nearest(corners[face], middle)
