@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from gltf_files import Gltf
 from scipy.ndimage import binary_erosion
 from web.conftest import SIZE, Visit, at
 
@@ -12,7 +13,7 @@ from torchprt import bake, light, preview, sh, web
 from torchprt.compression import compress, fit
 from torchprt.pose import SkinnedMesh
 from torchprt.preview import Camera, Still
-from torchprt.scene import Material, samples
+from torchprt.scene import Material, load, samples
 from torchprt.shade import shader
 from torchprt.transfer import Dense, Diffuse, Transfer
 from torchprt.transfer.atlas import Atlas, bilinear
@@ -71,9 +72,33 @@ def smooth_vectors(channels, order, places, contrast=0.2):
     return torch.cat([values[:, :1], contrast * values[:, 1:] / (1 + band[1:, None]) ** 2], 1)
 
 
+def write_limb(path):
+    """A tube on two joints, whose armature is turned about the vertical, so that its rest is no identity."""
+    (tube,) = (each.mesh for each in samples.cylinder(20).objects[:1])
+    height = tube.positions[:, 1]
+    share = ((height - height.min()) / (height.max() - height.min())).numpy()
+    zero = np.zeros_like(share)
+    made = Gltf(scene=0, scenes=[{"nodes": [0, 1]}])
+    joints = made.accessor(np.tile([0, 1, 0, 0], (len(share), 1)).astype("u1"))
+    weights = np.stack([1 - share, share, zero, zero], -1)
+    arrays = {"POSITION": tube.positions.numpy(), "NORMAL": tube.normals.numpy(), "WEIGHTS_0": weights}
+    primitive = made.primitive(tube.faces.numpy().reshape(-1), JOINTS_0=joints, **arrays)
+    made.tree["meshes"] = [{"primitives": [primitive]}]
+    half = 0.5**0.5
+    made.tree["nodes"] = [
+        {"mesh": 0, "skin": 0},
+        {"children": [2, 3], "rotation": [0, half, 0, half]},
+        {"name": "lower"},
+        {"name": "upper"},
+    ]
+    made.tree["skins"] = [{"joints": [2, 3]}]
+    return made.save(path), torch.from_numpy(weights[:, :2]).double()
+
+
 @pytest.fixture(scope="module")
-def cases() -> dict[str, Transfer]:
+def cases(tmp_path_factory) -> dict[str, Transfer]:
     """What is drawn, by name."""
+    limb = bake(load(write_limb(tmp_path_factory.mktemp("limb") / "limb.glb")[0]), order=4, rays=64, progress=False)
     plane = bake(samples.plane_and_blocker(24), order=5, rays=64, progress=False)
     # Colours that differ from vertex to vertex.
     albedo = 0.3 + 0.5 * (torch.sin(3 * plane.positions) * 0.5 + 0.5)
@@ -82,7 +107,6 @@ def cases() -> dict[str, Transfer]:
     dish = bake(
         samples.dish(20, Material(0.2, gloss="ggx:0.4", specular=(0.9, 0.6, 0.3))), order=3, rays=32, progress=False
     )
-    limb = bake(samples.cylinder(20), order=4, rays=64, progress=False)
     atlas = atlas_of()
     mapped = Diffuse(albedo=torch.full((1, 1), 0.7), signal=Dense(values=smooth_vectors(1, 3, atlas.positions, 0.5)))
     return {
@@ -102,7 +126,8 @@ def site(libraries, cases, tmp_path_factory):
     folder = tmp_path_factory.mktemp("three")
     for name, transfer in cases.items():
         order = 3 if name == "attributes" else None
-        web.export_three(transfer, folder / name, order=order, check=False, exact=name == "packed")
+        asset = preview.find_asset(transfer)[0] if name == "lobes" else None
+        web.export_three(transfer, folder / name, order=order, check=False, exact=name == "packed", asset=asset)
     packed = compress(cases["exit"], clusters=4, components=6)
     web.export(cases["exit"], folder / "page", compressed=packed, check=False, gpu=True)
     np.save(folder / "sky.npy", LIGHT.numpy())
@@ -291,14 +316,14 @@ def test_a_set_of_lightmaps_adds_up_what_each_light_brings(tab, cases):
     assert np.abs(found - drawn).max() <= 2
 
 
-def test_lobes_turn_with_the_bones_of_a_skinned_mesh(tab, cases):
+def test_lobes_turn_with_the_bones_of_a_skinned_mesh(tab, cases, tmp_path):
     transfer = cases["lobes"]
-    height = transfer.positions[:, 1]
-    share = ((height - height.min()) / (height.max() - height.min())).double()
-    weights = torch.stack([1 - share, share], -1)
-    bend = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
-    bend[1, :3, :3] = sh.yaw_pitch_roll(torch.tensor([40.0, 35, 50], dtype=torch.float64))
-    positions, frames = SkinnedMesh(transfer.positions.double(), weights)(bend)
+    _, weights = write_limb(tmp_path / "limb.glb")
+    bend = sh.yaw_pitch_roll(torch.tensor([40.0, 35, 50], dtype=torch.float64))
+    armature = sh.yaw_pitch_roll(torch.tensor([90.0, 0, 0], dtype=torch.float64))
+    joints = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+    joints[1, :3, :3] = armature @ bend @ armature.T
+    positions, frames = SkinnedMesh(transfer.positions.double(), weights)(joints)
     lamp = sh.rotate(LIGHT[:16].double(), TURN) * 0.3
     # The whole model is turned too, under a light that is not.
     whole = sh.yaw_pitch_roll(torch.tensor([-30.0, 0, 25], dtype=torch.float64))
@@ -306,29 +331,14 @@ def test_lobes_turn_with_the_bones_of_a_skinned_mesh(tab, cases):
     positions = positions @ whole.T
     camera = preview.frame(positions.float(), aspect=1.0)
     pixels = tab.ask(f"""
-        const {{ THREE, module }} = it;
-        const file = await (await fetch("../lobes/transfer.bin")).arrayBuffer();
-        const {{ scene }} = await it.loader.loadAsync("../lobes/model.glb");
-        let plain;
-        scene.traverse((each) => {{ if (each.isMesh) plain = each; }});
-        const weights = {flat(weights)};
-        const shares = Array.from(weights, (_, i) => (i % 2 ? [] : [weights[i], weights[i + 1], 0, 0])).flat();
-        const bonesOf = shares.map((_, i) => (i % 4 === 1 ? 1 : 0));
-        const geometry = plain.geometry;
-        geometry.setAttribute("skinIndex", new THREE.Uint16BufferAttribute(bonesOf, 4));
-        geometry.setAttribute("skinWeight", new THREE.Float32BufferAttribute(shares, 4));
-        const skinned = new THREE.SkinnedMesh(geometry, plain.material);
-        const bones = [new THREE.Bone(), new THREE.Bone()];
-        const object = new THREE.Group().add(skinned, ...bones);
-        object.updateMatrixWorld(true);
-        skinned.bind(new THREE.Skeleton(bones));
-        const model = new module.PRTModel(object, module.parseTransfer(file));
-        [model.light] = await module.loadLights("../sky.npy");
+        const model = await it.load("lobes");
+        [model.light] = await it.module.loadLights("../sky.npy");
         model.light.intensity = 0.3;
         model.light.quaternion.copy(it.turn({flat(TURN)}));
-        bones[1].quaternion.copy(it.turn({flat(bend[1, :3, :3])}));
-        object.quaternion.copy(it.turn({flat(whole)}));
-        return it.shoot(object, {shown(camera)}, model);
+        if (!model.meshes[0].isSkinnedMesh) throw new Error("not a skin");
+        model.object.getObjectByName("upper").quaternion.copy(it.turn({flat(bend)}));
+        model.object.quaternion.copy(it.turn({flat(whole)}));
+        return it.shoot(model.object, {shown(camera)}, model);
     """)
     # Away from the rest pose, so that it is seen whether axes turn.
     still = shader(transfer).double()(lamp)
