@@ -192,6 +192,7 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
         )
     numbers = {"_PRT_ID": torch.arange(receivers.count, dtype=torch.float64)[:, None]}
     if asset is not None:
+        numbers["_PRT_ALBEDO"] = transfer.albedo.float().expand(receivers.count, 3)
         keep_attributes(asset, transfer, numbers, extras).save(path)
         return
     colour = reflectance(transfer)

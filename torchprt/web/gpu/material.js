@@ -1,5 +1,5 @@
 // What meshes are drawn with: linear radiance, which three.js then exposes, tone maps and encodes.
-import { DataArrayTexture, FloatType, HalfFloatType, LinearFilter, Matrix3, RGBAFormat, ShaderMaterial, Vector3 } from "three";
+import { DataArrayTexture, FloatType, FrontSide, HalfFloatType, LinearFilter, Matrix3, RGBAFormat, ShaderMaterial, Vector3 } from "three";
 import { PRT } from "./prt.js";
 import { FETCH } from "./textures.js";
 
@@ -29,50 +29,84 @@ const fragment = (declared, radiance) => /* glsl */ `
     #include <colorspace_fragment>
   }`;
 
-// Not extrapolated at the edges of triangles.
-const AT_VERTICES = fragment("centroid varying vec3 prtShown;", "prtShown");
-
-function material(uniforms, vertexShader, fragmentShader, defines = {}) {
+function material(uniforms, vertexShader, fragmentShader, side) {
   const named = Object.fromEntries(Object.entries(uniforms).map(([name, value]) => [name, { value }]));
-  return new ShaderMaterial({ uniforms: named, vertexShader, fragmentShader, defines });
+  return new ShaderMaterial({ uniforms: named, vertexShader, fragmentShader, side });
+}
+
+/**
+ * A material of radiance at vertices. `shade(prefix, target)`: the code that puts that of the sides of `prefix`, "_prt_" or
+ * "_prt_back_", into `target`. Where the mesh has a picture of its base colour, and in `_prt_albedo` what transfer took
+ * for it, the picture is what shows: transfer has its mean around each vertex.
+ */
+function materialAtVertices(mesh, uniforms, declared, shade) {
+  const { geometry, material: former } = mesh;
+  const { attributes } = geometry;
+  const back = Boolean(attributes._prt_back_id ?? attributes._prt_back_0);
+  const picture = former.map && attributes._prt_albedo && attributes[placed(former.map.channel)] ? former.map : null;
+  // Not extrapolated at the edges of triangles.
+  const between = /* glsl */ `
+    centroid varying vec3 prtShown;
+    ${back ? "centroid varying vec3 prtBehind;" : ""}
+    ${picture ? "centroid varying vec3 prtMean;\nvarying vec2 prtPlace;" : ""}`;
+  const added = picture && {
+    prtPicture: picture, prtPictureTurn: picture.matrix, prtTint: new Vector3().setFromColor(former.color),
+  };
+  if (picture) picture.updateMatrix();
+  return material(
+    { ...uniforms, ...added },
+    vertex(
+      `${declared}
+      ${picture ? `attribute vec3 _prt_albedo;\nuniform mat3 prtPictureTurn;` : ""}
+      ${picture?.channel ? `attribute vec2 ${placed(picture.channel)};` : ""}
+      ${between}`,
+      `${shade("_prt_", "prtShown")}
+      ${back ? shade("_prt_back_", "prtBehind") : ""}
+      ${picture ? `prtMean = _prt_albedo;\nprtPlace = (prtPictureTurn * vec3(${placed(picture.channel)}, 1.0)).xy;` : ""}`,
+    ),
+    fragment(
+      `${between}
+      ${picture ? "uniform sampler2D prtPicture;\nuniform vec3 prtTint;" : ""}`,
+      `${back ? "(gl_FrontFacing ? prtShown : prtBehind)" : "prtShown"}
+      ${picture ? " * prtTint * texture2D(prtPicture, prtPlace).rgb / max(prtMean, vec3(0.02))" : ""}`,
+    ),
+    former.side,
+  );
 }
 
 const vectors = (count) => Array.from({ length: count }, () => new Vector3());
 
 /** Of a mesh whose vertices have their transfer as attributes `_prt_0`, ...; `prtLight` are the coefficients. */
-export function attributeMaterial({ order, channels }, geometry) {
-  const names = Object.keys(geometry.attributes).filter((name) => /^_prt_\d+$/.test(name));
+export function attributeMaterial({ order, channels }, mesh) {
+  const { geometry } = mesh;
+  const names = Object.keys(geometry.attributes).filter((name) => /^_prt_(back_)?(\d+|albedo)$/.test(name));
   const count = order * order;
-  const number = (k) => `_prt_${k >> 2}.${"xyzw"[k & 3]}`;
-  const terms = Array.from({ length: count }, (_, i) =>
-    channels === 1
-      ? `${number(i)} * prtLight[${i}]`
-      : `vec3(${number(i)}, ${number(count + i)}, ${number(2 * count + i)}) * prtLight[${i}]`,
-  );
-  const albedo = geometry.attributes._prt_albedo ? "_prt_albedo" : geometry.attributes.color ? "prtColour" : "vec3(1.0)";
+  const colour = geometry.attributes._prt_albedo ? null : geometry.attributes.color;
+  if (colour) geometry.setAttribute("prt_colour", colour);
   const declared = /* glsl */ `
-    ${names.map((name) => `attribute vec4 ${name};`).join("\n")}
-    ${albedo === "_prt_albedo" ? "attribute vec3 _prt_albedo;" : ""}
-    ${albedo === "prtColour" ? "attribute vec3 prtColour;" : ""}
-    uniform vec3 prtLight[${count}];
-    centroid varying vec3 prtShown;`;
-  if (albedo === "prtColour") geometry.setAttribute("prtColour", geometry.attributes.color);
-  return material(
-    { prtLight: vectors(count) },
-    vertex(declared, `prtShown = ${albedo} * (${terms.join("\n + ")});`),
-    AT_VERTICES,
-  );
+    ${names.map((name) => (name === "_prt_albedo" ? "" : `attribute ${/albedo/.test(name) ? "vec3" : "vec4"} ${name};`)).join("\n")}
+    ${colour ? "attribute vec3 prt_colour;" : ""}
+    uniform vec3 prtLight[${count}];`;
+  return materialAtVertices(mesh, { prtLight: vectors(count) }, declared, (prefix, target) => {
+    const number = (k) => `${prefix}${k >> 2}.${"xyzw"[k & 3]}`;
+    const terms = Array.from({ length: count }, (_, i) =>
+      channels === 1
+        ? `${number(i)} * prtLight[${i}]`
+        : `vec3(${number(i)}, ${number(count + i)}, ${number(2 * count + i)}) * prtLight[${i}]`,
+    );
+    return `${target} = ${colour ? "prt_colour" : `${prefix}albedo`} * (${terms.join("\n + ")});`;
+  });
 }
 
 /** Of a mesh whose vertices say in `_prt_id` which receiver they are, of what a `Shading` gives. */
-export function vertexMaterial(shading) {
+export function vertexMaterial(shading, mesh) {
   const declared = /* glsl */ `
     ${FETCH}
     attribute float _prt_id;
-    uniform sampler2D prtShaded;
-    centroid varying vec3 prtShown;`;
-  const shade = "prtShown = prtFetch(prtShaded, int(_prt_id + 0.5)).rgb;";
-  return material({ prtShaded: shading.shaded }, vertex(declared, shade), AT_VERTICES);
+    ${mesh.geometry.attributes._prt_back_id ? "attribute float _prt_back_id;" : ""}
+    uniform sampler2D prtShaded;`;
+  const shade = (prefix, target) => `${target} = prtFetch(prtShaded, int(${prefix}id + 0.5)).rgb;`;
+  return materialAtVertices(mesh, { prtShaded: shading.shaded }, declared, shade);
 }
 
 const placed = (channel) => (channel ? `uv${channel}` : "uv");
@@ -81,11 +115,12 @@ const coordinates = (channel) => /* glsl */ `
   varying vec2 prtPlace;`;
 
 /** Of a mesh that shows the map of a `Shading` through its texture coordinates, set `channel`. */
-export function mapMaterial(shading, channel = 0) {
+export function mapMaterial(shading, channel = 0, side = FrontSide) {
   return material(
     { prtMap: shading.map.texture },
     vertex(coordinates(channel), `prtPlace = ${placed(channel)};`),
     fragment("uniform sampler2D prtMap;\nvarying vec2 prtPlace;", "texture2D(prtMap, prtPlace).rgb"),
+    side,
   );
 }
 
@@ -127,7 +162,7 @@ export function lightmapMaterial(maps, { channel = 0 } = {}) {
  * Of a mesh in zonal lobes, which its node or its bones may move: axes turn with the rotation nearest to the matrix that
  * these blend to. `prtFrame`: from the world to the frame of the bake; `prtRest`: back from how they were in the bake.
  */
-export function lobeMaterial(about, layer, textures) {
+export function lobeMaterial(about, layer, textures, mesh) {
   const { order } = about;
   const { channels, lobes, exact } = layer;
   const first = exact ? 2 : 0;
@@ -137,40 +172,45 @@ export function lobeMaterial(about, layer, textures) {
     ${FETCH}
     ${PRT}
     attribute float _prt_id;
+    ${mesh.geometry.attributes._prt_back_id ? "attribute float _prt_back_id;" : ""}
     uniform sampler2D prtLobes;
     ${layer.uniform ? "uniform vec3 prtWeight;" : "uniform sampler2D prtWeight;"}
     uniform vec3 prtLight[PRT_COUNT];
     uniform mat3 prtFrame, prtRest;
-    centroid varying vec3 prtShown;
     float prtOf(vec4 numbers[${size}], int i) { return numbers[i / 4][i % 4]; }
     vec3 prtColour(vec4 numbers[${size}], int i, int step) {
       return vec3(prtOf(numbers, i), prtOf(numbers, i + ${channels > 1 ? "step" : "0"}), prtOf(numbers, i + ${channels > 1 ? "2 * step" : "0"}));
+    }
+    vec3 prtFrom(int number, mat3 turn) {
+      vec4 numbers[${size}];
+      for (int i = 0; i < ${size}; i++) numbers[i] = prtFetch(prtLobes, number * ${size} + i);
+      vec3 sum = vec3(0.0);
+      int at = 0;
+      ${exact ? /* glsl */ `
+        vec4 low[3];
+        for (int c = 0; c < ${channels}; c++) low[c] = prtTurnedLinear(numbers[c], turn);
+        for (int i = 0; i < 4; i++) sum += vec3(low[0][i], low[${channels > 1 ? 1 : 0}][i], low[${channels > 1 ? 2 : 0}][i]) * prtLight[i];
+        at = ${4 * channels};` : ""}
+      for (int k = 0; k < ${lobes}; k++) {
+        vec3 axis = vec3(prtOf(numbers, at), prtOf(numbers, at + 1), prtOf(numbers, at + 2));
+        vec3 bands[PRT_ORDER];
+        for (int l = 0; l < PRT_ORDER; l++) bands[l] = l < ${first} ? vec3(0.0) : prtColour(numbers, at + 3 + l - ${first}, ${order - first});
+        sum += prtLobe(normalize(turn * axis), bands, prtLight);
+        at += ${3 + channels * (order - first)};
+      }
+      return sum * ${layer.uniform ? "prtWeight" : "prtFetch(prtWeight, number).rgb"};
     }`;
-  const shade = /* glsl */ `
-    int prtNumber = int(_prt_id + 0.5);
-    mat4 prtPlace = modelMatrix;
+  const shade = (prefix, target) => /* glsl */ `
+    ${prefix === "_prt_" ? TURN : ""}
+    ${target} = prtFrom(int(${prefix}id + 0.5), prtTurn);`;
+  const uniforms = { ...textures, prtLight: vectors(order * order), prtFrame: new Matrix3(), prtRest: new Matrix3() };
+  return materialAtVertices(mesh, uniforms, declared, shade);
+}
+
+const TURN = /* glsl */ `
+    mat4 prtPlaced = modelMatrix;
     #ifdef USE_SKINNING
       mat4 prtBones = skinWeight.x * boneMatX + skinWeight.y * boneMatY + skinWeight.z * boneMatZ + skinWeight.w * boneMatW;
-      prtPlace = modelMatrix * bindMatrixInverse * prtBones * bindMatrix;
+      prtPlaced = modelMatrix * bindMatrixInverse * prtBones * bindMatrix;
     #endif
-    mat3 prtTurn = prtNearestRotation(prtFrame * mat3(prtPlace)) * prtRest;
-    vec4 numbers[${size}];
-    for (int i = 0; i < ${size}; i++) numbers[i] = prtFetch(prtLobes, prtNumber * ${size} + i);
-    prtShown = vec3(0.0);
-    int at = 0;
-    ${exact ? /* glsl */ `
-      vec4 low[3];
-      for (int c = 0; c < ${channels}; c++) low[c] = prtTurnedLinear(numbers[c], prtTurn);
-      for (int i = 0; i < 4; i++) prtShown += vec3(low[0][i], low[${channels > 1 ? 1 : 0}][i], low[${channels > 1 ? 2 : 0}][i]) * prtLight[i];
-      at = ${4 * channels};` : ""}
-    for (int k = 0; k < ${lobes}; k++) {
-      vec3 axis = vec3(prtOf(numbers, at), prtOf(numbers, at + 1), prtOf(numbers, at + 2));
-      vec3 bands[PRT_ORDER];
-      for (int l = 0; l < PRT_ORDER; l++) bands[l] = l < ${first} ? vec3(0.0) : prtColour(numbers, at + 3 + l - ${first}, ${order - first});
-      prtShown += prtLobe(normalize(prtTurn * axis), bands, prtLight);
-      at += ${3 + channels * (order - first)};
-    }
-    prtShown *= ${layer.uniform ? "prtWeight" : "prtFetch(prtWeight, prtNumber).rgb"};`;
-  const uniforms = { ...textures, prtLight: vectors(order * order), prtFrame: new Matrix3(), prtRest: new Matrix3() };
-  return material(uniforms, vertex(declared, shade), AT_VERTICES);
-}
+    mat3 prtTurn = prtNearestRotation(prtFrame * mat3(prtPlaced)) * prtRest;`;

@@ -49,7 +49,7 @@ export class PRTModel {
         prtWeight: zonal.uniform ? new Vector3(...zonal.uniform) : textureOf(tensors["0.weight"]),
       };
       for (const mesh of meshes.filter(({ geometry }) => geometry.attributes._prt_id)) {
-        this.#give(mesh, lobeMaterial(about, zonal, textures));
+        this.#give(mesh, lobeMaterial(about, zonal, textures, mesh));
         mesh.material.uniforms.prtRest.value = restOf(mesh, object);
         this.lit.push(mesh.material.uniforms);
       }
@@ -57,13 +57,14 @@ export class PRTModel {
       this.shading = new Shading(transfer, { mipmaps });
       const map = this.shading.map;
       const name = map ? (channel ? `uv${channel}` : "uv") : "_prt_id";
-      const made = map ? mapMaterial(this.shading, channel) : vertexMaterial(this.shading);
-      for (const mesh of meshes.filter(({ geometry }) => geometry.attributes[name])) this.#give(mesh, made);
+      for (const mesh of meshes.filter(({ geometry }) => geometry.attributes[name])) {
+        this.#give(mesh, map ? mapMaterial(this.shading, channel, mesh.material.side) : vertexMaterial(this.shading, mesh));
+      }
     } else {
       for (const mesh of meshes.filter(({ geometry }) => geometry.attributes._prt_0)) {
         const said = mesh.userData.torchprt ?? mesh.geometry.userData.torchprt ?? mesh.parent?.userData.torchprt;
         if (!said) throw new Error("The mesh does not say of which order its transfer is: export it with torchprt.");
-        this.#give(mesh, attributeMaterial(said, mesh.geometry));
+        this.#give(mesh, attributeMaterial(said, mesh));
         this.lit.push(mesh.material.uniforms);
       }
     }
@@ -74,7 +75,6 @@ export class PRTModel {
   }
 
   #give(mesh, made) {
-    made.side = mesh.material.side;
     made.userData.torchprt = true;
     mesh.material = made;
   }
