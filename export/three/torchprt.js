@@ -843,7 +843,8 @@ function materialAtVertices(mesh, uniforms, declared, shade) {
     { ...uniforms, ...added },
     vertex(
       `${declared}
-      ${picture ? `attribute vec3 _prt_albedo;\nuniform mat3 prtPictureTurn;` : ""}
+      ${attributes._prt_albedo ? "attribute vec3 _prt_albedo;" : ""}
+      ${picture ? "uniform mat3 prtPictureTurn;" : ""}
       ${picture?.channel ? `attribute vec2 ${placed(picture.channel)};` : ""}
       ${between}`,
       `${shade("_prt_", "prtShown")}
