@@ -43,7 +43,12 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
         *((f"a{suffix}", [BALL, *LAMP, *SIZE]) for suffix in (".png", ".jpg", ".webp")),
     ],
     "light": [("a.npy", ["lamp.exr", "--order", "16"])],
-    "export": [("a.onnx", [BALL]), ("a.glb", [BALL]), ("page", [BALL, "--web", *LAMP]), ("scene", [BALL, "--three", *LAMP])],
+    "export": [
+        ("a.onnx", [BALL]),
+        ("a.glb", [BALL]),
+        ("page", [BALL, "--web", *LAMP]),
+        ("scene", [BALL, "--three", *LAMP]),
+    ],
     "compress": [("a.safetensors", [BALL, "--clusters", "4"])],
     "plan": [("a.toml", ["ball.ply", *LAMP, "--order", "3", "--error", "20%"])],
     "fit": [("a.safetensors", [BALL, "--lobes", "2"])],

@@ -13,6 +13,7 @@ from torchprt import bake, light, preview, sh, web
 from torchprt.compression import compress, fit
 from torchprt.pose import SkinnedMesh
 from torchprt.preview import Camera, Still
+from torchprt.preview.environment import Environment
 from torchprt.scene import Material, load, samples
 from torchprt.shade import shader
 from torchprt.transfer import Dense, Diffuse, Transfer
@@ -127,11 +128,17 @@ def site(libraries, cases, tmp_path_factory):
     for name, transfer in cases.items():
         order = 3 if name == "attributes" else None
         asset = preview.find_asset(transfer)[0] if name == "lobes" else None
-        web.export_three(transfer, folder / name, order=order, check=False, exact=name == "packed", asset=asset)
+        options = {"order": order, "asset": asset, "exact": name == "packed", "environments": LAMPS}
+        web.export_three(transfer, folder / name, check=False, **options)
     packed = compress(cases["exit"], clusters=4, components=6)
-    web.export(cases["exit"], folder / "page", compressed=packed, check=False, gpu=True)
+    web.export(cases["exit"], folder / "page", compressed=packed, environments=LAMPS, check=False, gpu=True)
     np.save(folder / "sky.npy", LIGHT.numpy())
     return folder
+
+
+STUDIO = light.built_in("studio", 32)
+LIGHT = light.project(STUDIO, 5).float()
+LAMPS = [Environment("Studio", LIGHT, STUDIO)]
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +152,6 @@ def tab(browser, site):
         page.close()
 
 
-LIGHT = light.project(light.built_in("studio", 32), 5).float()
 # How the light is turned, and the model.
 TURN = sh.yaw_pitch_roll(torch.tensor([70.0, 20, -10], dtype=torch.float64))
 DRAW = """

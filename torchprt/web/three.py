@@ -130,11 +130,11 @@ def export_three(
     target = Path(folder)
     if target.is_dir() and any(target.iterdir()) and not (target / MODULE).is_file():
         raise InputError(f"{target} holds something that no --three wrote: give another folder")
+    made = shader_file(transfer, exact=exact) if order is None else None
     lights = samples(transfer.order) if environments is None else list(environments)
     if not lights:
         raise InputError("a scene needs a light: give one environment or more")
     coefficients = torch.stack([of_order(each, transfer.order) for each in lights])
-    made = shader_file(transfer, exact=exact) if order is None else None
     foreign = libraries()
     read = transfer if made is None else made.transfer
     error = apart(transfer, read if order is None else read.to_order(order), coefficients) if check else None
