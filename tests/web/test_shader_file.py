@@ -128,7 +128,7 @@ def test_what_bands_cost_is_told_of_attributes(make_transfer, tmp_path, no_npm):
 
 def test_the_module_imports_three_and_nothing_else():
     text = web.module()
-    lines = [line for line in text.splitlines() if line.startswith("import") or line.startswith("} from")]
+    lines = [line for line in text.splitlines() if line.startswith(("import", "} from"))]
     assert lines == ["import {", '} from "three";']
     for name in ("loadPRT", "PRTModel", "PRTLight", "loadLights", "Shading", "lightmapMaterial", "rotate", "project"):
         assert f"export class {name}" in text or f"function {name}" in text

@@ -21,7 +21,6 @@ from torchprt.files import atomic_folder
 from torchprt.preview.asset import keep_attributes
 from torchprt.preview.asset_source import Asset
 from torchprt.preview.environment import Environment
-from torchprt.preview.modes import reflectance
 from torchprt.shade import shader
 from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
@@ -195,8 +194,7 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
         numbers["_PRT_ALBEDO"] = transfer.albedo.float().expand(receivers.count, 3)
         keep_attributes(asset, transfer, numbers, extras).save(path)
         return
-    colour = reflectance(transfer)
-    preview.save_glb(positions, normals, faces, path, colour=colour, attributes=numbers, extras=extras)
+    preview.save_glb(positions, normals, faces, path, attributes=numbers, extras=extras)
 
 
 def apart(transfer: Transfer, read: Transfer, lights: Tensor) -> float:
