@@ -479,14 +479,22 @@ int prtFetchWhole(usampler2D numbers, int i) {
   return int(texelFetch(numbers, ivec2(i % width, i / width), 0).r);
 }`;
 
-/** Columns and rows for so many texels: about a square, rows not longer than any card takes unless they must be. */
-export function sizeFor(count, most = Infinity) {
+/** Columns and rows for so many texels: about a square. */
+export function sizeFor(count) {
   const width = Math.max(1, 2 ** Math.ceil(Math.log2(Math.sqrt(Math.max(1, count)))));
-  const height = Math.max(1, Math.ceil(count / width));
-  if (Math.max(width, height) > most) {
-    throw new Error(`This transfer takes ${count} texels, and the graphics card ${most} x ${most}: compress it in clusters.`);
+  return [width, Math.max(1, Math.ceil(count / width))];
+}
+
+/** Throws a sentence if the graphics card lacks what textures and targets of these sizes take. */
+export function checkCard(renderer, images) {
+  if (!renderer.extensions.has("EXT_color_buffer_float")) {
+    throw new Error("This graphics card does not draw into textures of floating point: use transfer in attributes.");
   }
-  return [width, height];
+  const most = renderer.capabilities.maxTextureSize;
+  const size = Math.max(...images.flatMap(({ width, height }) => [width, height]));
+  if (size > most) {
+    throw new Error(`This transfer takes a texture of ${size} texels along a side, and the graphics card ${most}: compress it.`);
+  }
 }
 
 /** Rows of four numbers, F16 or F32, or single whole ones, U16 or U32. */
@@ -721,6 +729,7 @@ export class Shading {
 
   /** `light`: N x 3 in the frame of the bake; `eye`: a Vector3 there, for what is glossy. False if nothing changed. */
   render(renderer, light, eye) {
+    if (!this.checked) this.#check(renderer);
     const lit = !this.light || light.some((each, i) => each !== this.light[i]);
     const seen = this.glossy && !(this.eye && eye.equals(this.eye));
     if (!lit && !seen) return false;
@@ -742,6 +751,15 @@ export class Shading {
     renderer.autoClear = autoClear;
     xr.enabled = presenting;
     return true;
+  }
+
+  #check(renderer) {
+    const passes = [...this.layers.map(({ pass }) => pass), this.sum, this.resolve].filter(Boolean);
+    const values = passes.flatMap(({ material }) => Object.values(material.uniforms).map(({ value }) => value));
+    checkCard(renderer, values.filter((value) => value?.isTexture).map(({ image }) => image));
+    // What was drawn into textures is lost with the card.
+    renderer.domElement.addEventListener("webglcontextrestored", () => (this.light = null));
+    this.checked = true;
   }
 
   /** The light, or what it makes of the representatives of clusters, as the texture that the pass reads. */
@@ -914,9 +932,10 @@ export function mapMaterial(shading, channel = 0, side = FrontSide) {
 /**
  * A set of lightmaps of one atlas, added up: of each of several lights, or of each SH coefficient. `maps`: textures of
  * one size with data (as EXRLoader loads them), of linear radiance; `uniforms.prtWeights` are vectors, one a map: how
- * bright each light is, or the coefficients of the light. Textures have the rows of `flipY` false, as glTF has them.
+ * bright each light is, or the coefficients of the light. `lowestFirst`: their first row is the lowest of the picture, as
+ * EXRLoader has it; texture coordinates of glTF begin at the uppermost.
  */
-export function lightmapMaterial(maps, { channel = 0 } = {}) {
+export function lightmapMaterial(maps, { channel = 0, lowestFirst = false } = {}) {
   const { width, height } = maps[0].image;
   const half = maps.every(({ type }) => type === HalfFloatType);
   if (maps.some(({ image, type }) => image.width !== width || image.height !== height || type !== maps[0].type)) {
@@ -940,7 +959,10 @@ export function lightmapMaterial(maps, { channel = 0 } = {}) {
     }`;
   return material(
     { prtMaps: texture, prtWeights: vectors(maps.length) },
-    vertex(coordinates(channel), `prtPlace = ${placed(channel)};`),
+    vertex(
+      coordinates(channel),
+      lowestFirst ? `prtPlace = vec2(${placed(channel)}.x, 1.0 - ${placed(channel)}.y);` : `prtPlace = ${placed(channel)};`,
+    ),
     fragment(declared, "prtSum()"),
   );
 }

@@ -302,7 +302,8 @@ def test_a_set_of_lightmaps_adds_up_what_each_light_brings(tab, cases):
     maps = atlas.image(shader(transfer)(torch.eye(9)[..., None].expand(9, 9, 3).contiguous()))
     lamp = sh.rotate(LIGHT[:9].double(), TURN) * 0.3
     camera = Camera((0.5, 1.6, 0.5001), (0.5, 0.0, 0.5), field=40.0)
-    four = torch.cat([maps, torch.ones_like(maps[..., :1])], -1)
+    # The lowest row first, as a loader of .exr has it.
+    four = torch.cat([maps, torch.ones_like(maps[..., :1])], -1).flip(1)
     found = bytes_of(
         tab.ask(f"""
         const model = await it.load("atlas");
@@ -310,7 +311,7 @@ def test_a_set_of_lightmaps_adds_up_what_each_light_brings(tab, cases):
         const maps = {json.dumps([each.flatten().tolist() for each in four])}.map((data) =>
           new THREE.DataTexture(
             Float32Array.from(data), {atlas.columns}, {atlas.rows}, THREE.RGBAFormat, THREE.FloatType));
-        const material = it.module.lightmapMaterial(maps);
+        const material = it.module.lightmapMaterial(maps, {{ lowestFirst: true }});
         const weights = {json.dumps(lamp.tolist())};
         material.uniforms.prtWeights.value.forEach((each, i) => each.set(...weights[i]));
         model.object.traverse((each) => {{ if (each.isMesh) each.material = material; }});

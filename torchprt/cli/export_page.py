@@ -95,6 +95,8 @@ def export_scene(
         say(f"{what}; transfer of order {order} in its attributes, for any shader")
     else:
         say(f"{what}; {web.three.TRANSFER}: {count_bytes(report.transfer_bytes, transfer.vertices)}")
+    if transfer.receivers.mirrors is not None:
+        say("its mirrors are left out: a scene of three.js has its own")
     say(f"look at it with: torchprt serve {folder}")
 
 

@@ -128,9 +128,10 @@ export function mapMaterial(shading, channel = 0, side = FrontSide) {
 /**
  * A set of lightmaps of one atlas, added up: of each of several lights, or of each SH coefficient. `maps`: textures of
  * one size with data (as EXRLoader loads them), of linear radiance; `uniforms.prtWeights` are vectors, one a map: how
- * bright each light is, or the coefficients of the light. Textures have the rows of `flipY` false, as glTF has them.
+ * bright each light is, or the coefficients of the light. `lowestFirst`: their first row is the lowest of the picture, as
+ * EXRLoader has it; texture coordinates of glTF begin at the uppermost.
  */
-export function lightmapMaterial(maps, { channel = 0 } = {}) {
+export function lightmapMaterial(maps, { channel = 0, lowestFirst = false } = {}) {
   const { width, height } = maps[0].image;
   const half = maps.every(({ type }) => type === HalfFloatType);
   if (maps.some(({ image, type }) => image.width !== width || image.height !== height || type !== maps[0].type)) {
@@ -154,7 +155,10 @@ export function lightmapMaterial(maps, { channel = 0 } = {}) {
     }`;
   return material(
     { prtMaps: texture, prtWeights: vectors(maps.length) },
-    vertex(coordinates(channel), `prtPlace = ${placed(channel)};`),
+    vertex(
+      coordinates(channel),
+      lowestFirst ? `prtPlace = vec2(${placed(channel)}.x, 1.0 - ${placed(channel)}.y);` : `prtPlace = ${placed(channel)};`,
+    ),
     fragment(declared, "prtSum()"),
   );
 }

@@ -4,7 +4,7 @@ import {
   RawShaderMaterial, Scene, Vector3, WebGLRenderTarget,
 } from "three";
 import { PRT } from "./prt.js";
-import { FETCH, sizeFor, targetFor, textureOf } from "./textures.js";
+import { checkCard, FETCH, sizeFor, targetFor, textureOf } from "./textures.js";
 
 const EVERYWHERE = /* glsl */ `
 in vec3 position;
@@ -212,6 +212,7 @@ export class Shading {
 
   /** `light`: N x 3 in the frame of the bake; `eye`: a Vector3 there, for what is glossy. False if nothing changed. */
   render(renderer, light, eye) {
+    if (!this.checked) this.#check(renderer);
     const lit = !this.light || light.some((each, i) => each !== this.light[i]);
     const seen = this.glossy && !(this.eye && eye.equals(this.eye));
     if (!lit && !seen) return false;
@@ -233,6 +234,15 @@ export class Shading {
     renderer.autoClear = autoClear;
     xr.enabled = presenting;
     return true;
+  }
+
+  #check(renderer) {
+    const passes = [...this.layers.map(({ pass }) => pass), this.sum, this.resolve].filter(Boolean);
+    const values = passes.flatMap(({ material }) => Object.values(material.uniforms).map(({ value }) => value));
+    checkCard(renderer, values.filter((value) => value?.isTexture).map(({ image }) => image));
+    // What was drawn into textures is lost with the card.
+    renderer.domElement.addEventListener("webglcontextrestored", () => (this.light = null));
+    this.checked = true;
   }
 
   /** The light, or what it makes of the representatives of clusters, as the texture that the pass reads. */

@@ -19,14 +19,22 @@ int prtFetchWhole(usampler2D numbers, int i) {
   return int(texelFetch(numbers, ivec2(i % width, i / width), 0).r);
 }`;
 
-/** Columns and rows for so many texels: about a square, rows not longer than any card takes unless they must be. */
-export function sizeFor(count, most = Infinity) {
+/** Columns and rows for so many texels: about a square. */
+export function sizeFor(count) {
   const width = Math.max(1, 2 ** Math.ceil(Math.log2(Math.sqrt(Math.max(1, count)))));
-  const height = Math.max(1, Math.ceil(count / width));
-  if (Math.max(width, height) > most) {
-    throw new Error(`This transfer takes ${count} texels, and the graphics card ${most} x ${most}: compress it in clusters.`);
+  return [width, Math.max(1, Math.ceil(count / width))];
+}
+
+/** Throws a sentence if the graphics card lacks what textures and targets of these sizes take. */
+export function checkCard(renderer, images) {
+  if (!renderer.extensions.has("EXT_color_buffer_float")) {
+    throw new Error("This graphics card does not draw into textures of floating point: use transfer in attributes.");
   }
-  return [width, height];
+  const most = renderer.capabilities.maxTextureSize;
+  const size = Math.max(...images.flatMap(({ width, height }) => [width, height]));
+  if (size > most) {
+    throw new Error(`This transfer takes a texture of ${size} texels along a side, and the graphics card ${most}: compress it.`);
+  }
 }
 
 /** Rows of four numbers, F16 or F32, or single whole ones, U16 or U32. */
