@@ -59,6 +59,8 @@ def with_points(transfer: Transfer, lamps: Sequence[Emitter]) -> Transfer:
 
     if not lamps or getattr(transfer.receivers, "blend", None) is not None:
         return transfer
+    if transfer.receivers.surface_uv is not None:
+        raise InputError("--emitter is given, but lamps nearby light vertices, and this was recorded at texels: bake without --texels")
     say(f"{POINTS} sample points with gradients made on the way: bake with --sample-points to choose")
     return with_sample_points(transfer, POINTS, gradients=True)
 

@@ -1,12 +1,17 @@
 """OpenEXR files as arrays of linear RGB."""
 
+import os
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from torchprt.errors import InputError
+from torchprt.files import atomic
 
 MAGIC = b"\x76\x2f\x31\x01"
+HALF = 65504
+"""The largest half float."""
 
 # Red, green, blue and white of Rec. 709, which OpenEXR assumes when a file does not say otherwise.
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -39,6 +44,24 @@ def read_exr(path: Path) -> np.ndarray:
             return _stack(path, [channels[name] for name in names])
     found = ", ".join(sorted({name for _, channels in parts for name in channels})) or "none"
     raise InputError(f"{path} has no channels R, G, B or Y (found: {found}): save it as RGB")
+
+
+def write_exr(path: str | os.PathLike[str], image: Float[np.ndarray, "H W 3"]) -> None:
+    """Writes linear RGB of Rec. 709 as OpenEXR of half floats, which have 11 bits and reach to 65504.
+
+    Raises InputError if a number is not finite or does not fit, or `path` cannot be written.
+    """
+    import OpenEXR
+
+    most = np.abs(image).max(initial=0)
+    # NaN too.
+    if not most <= HALF:
+        raise InputError(
+            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or use a weaker light"
+        )
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic(path) as temporary:
+        OpenEXR.File(header, {"RGB": np.ascontiguousarray(image, np.float16)}).write(str(temporary))
 
 
 def _colour(path: Path, names: list[str]) -> list[str]:

@@ -10,6 +10,7 @@ from .environment import Environment, automatic_exposure, built_in_environment, 
 from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
+from .lightmap import irradiance_exposure, save_map
 from .lobe import Lobe, lobe
 from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
@@ -53,6 +54,7 @@ __all__ = [
     "error_colours",
     "find_asset",
     "frame",
+    "irradiance_exposure",
     "keep_light",
     "linear_colours",
     "lobe",
@@ -63,6 +65,7 @@ __all__ = [
     "save_gif",
     "save_glb",
     "save_lit_glb",
+    "save_map",
     "save_movie",
     "save_mp4",
     "save_picture",

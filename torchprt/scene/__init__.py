@@ -8,6 +8,7 @@ from .energy import EnergyWarning
 from .geometry import Geometry
 from .glosses import Glosses
 from .height_field import height_field, read_heights, tiled
+from .lightmap import Lightmap
 from .material import Material
 from .material_file import read_material
 from .mesh import Mesh, make_mesh
@@ -29,6 +30,7 @@ __all__ = [
     "Geometry",
     "Glosses",
     "Look",
+    "Lightmap",
     "Material",
     "Mesh",
     "MeshReport",

@@ -104,7 +104,7 @@ def gather(objects: Sequence[Object]) -> Geometry:
         if object.glossy
         for at in [torch.nonzero(object.gloss_of_vertex[chosen] >= 0)[:, 0]]
     ]
-    gloss = _distinct([brdf for object, _, _, which in shiny for brdf in _used(object, which)])
+    gloss = distinct([brdf for object, _, _, which in shiny for brdf in _used(object, which)])
     specular_channels = 3 if any(differs(object.specular) for object, *_ in shiny) else 1
     whole = torch.zeros(0, dtype=torch.int64)
     mirrors = [each.material.reflectance for each in objects if each.material.reflectance is not None]
@@ -172,7 +172,8 @@ def _numbers(object: Object, gloss: tuple[Brdf, ...]) -> Int64[Tensor, "models"]
     return torch.tensor(found, dtype=torch.int64)
 
 
-def _distinct(all_gloss: Sequence[Brdf]) -> tuple[Brdf, ...]:
+def distinct(all_gloss: Sequence[Brdf]) -> tuple[Brdf, ...]:
+    """Glosses without those that are as a former one."""
     found: list[Brdf] = []
     for brdf in all_gloss:
         if not any(_same(brdf, each) for each in found):

@@ -44,6 +44,13 @@ class Spot:
         return self.place + lift[:, None] * away
 
 
+def starts(origins: Float[Tensor, "v *S 3"], rays: int) -> Float[Tensor, "v {rays} 3"]:
+    """Where each ray of a receiver starts: all at its one origin, or every S-th at the same of S."""
+    if origins.ndim == 2:
+        return origins[:, None].expand(-1, rays, -1)
+    return origins[:, torch.arange(rays) % origins.shape[1]]
+
+
 class Tracer:
     """Rays against the triangles of a scene.
 
@@ -110,13 +117,14 @@ class Tracer:
 
     def visibility(
         self,
-        origins: Float[Tensor, "v 3"],
+        origins: Float[Tensor, "v *S 3"],
         frames: Float[Tensor, "v 3 3"],
         directions: Float[Tensor, "D 3"],
     ) -> Int[Tensor, "v D"]:
         """-1 where the ray escapes, 0 where anything blocks it: Embree's own numbers, which one product can use.
 
-        `origins` from `origins()`; `directions` in the local frames whose rows are tangent, bitangent and normal.
+        `origins` from `origins()`, one a receiver or S, [v, S, 3], of which every S-th ray has the same; `directions`
+        in the local frames whose rows are tangent, bitangent and normal.
         """
         start, rays = self._rays(origins, frames, directions)
         blocked = self._scene.run(start, rays, query="OCCLUDED")
@@ -124,7 +132,7 @@ class Tracer:
 
     def hits(
         self,
-        origins: Float[Tensor, "v 3"],
+        origins: Float[Tensor, "v *S 3"],
         frames: Float[Tensor, "v 3 3"],
         directions: Float[Tensor, "D 3"],
     ) -> Hits:
@@ -132,7 +140,7 @@ class Tracer:
         start, rays = self._rays(origins, frames, directions)
         return self._nearest(start, rays, (len(origins), len(directions)))
 
-    def distances(self, origins: Float[Tensor, "v 3"], hits: Hits) -> Float[Tensor, "v D"]:
+    def distances(self, origins: Float[Tensor, "v *S 3"], hits: Hits) -> Float[Tensor, "v D"]:
         """How far the hits are from the `origins` of their rays, in the frame of the tracer; infinity where a ray
         escapes."""
         found = torch.full(hits.triangle.shape, torch.inf)
@@ -140,7 +148,8 @@ class Tracer:
         u, v = hits.u[row, column], hits.v[row, column]
         weights = torch.stack([1 - u - v, u, v], -1).double()
         corners = self.local(self._positions[self._faces[hits.triangle[row, column].long()].long()])
-        away = (weights[..., None] * corners).sum(1) - origins[row].double()
+        start = starts(origins, found.shape[1])[row, column]
+        away = (weights[..., None] * corners).sum(1) - start.double()
         found[row, column] = torch.linalg.vector_norm(away, dim=-1).to(torch.float32)
         return found
 
@@ -187,7 +196,7 @@ class Tracer:
     def _rays(origins: Tensor, frames: Tensor, directions: Tensor) -> tuple[np.ndarray, np.ndarray]:
         """`[v * D, 3]` origins and directions, the rays of one point together (better for the caches of Embree)."""
         count, rays = len(origins), len(directions)
-        start = origins[:, None].expand(count, rays, 3).reshape(-1, 3)
+        start = starts(origins, rays).reshape(-1, 3)
         # Components first: three products that stream; embreex reads any strides.
         world = torch.mm(frames.transpose(1, 2).transpose(0, 1).reshape(-1, 3), directions.T).view(3, -1)
         return start.numpy(), world.numpy().T

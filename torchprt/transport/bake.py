@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,12 +16,13 @@ from torchprt.checkpoint import fingerprint
 from torchprt.errors import InputError
 from torchprt.files import CannotWrite, no_temporary
 from torchprt.progress import Report, Silent
-from torchprt.scene import Geometry, Points, Scene, Volume
+from torchprt.scene import Geometry, Lightmap, Points, Scene, Volume
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
 from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
+from torchprt.transport.bounce import Surfaces
 from torchprt.transport.bounces import Bounces, check_bounces, followed
 from torchprt.transport.checkpoint import Checkpoint
 from torchprt.transport.diffuse import unshadowed
@@ -35,6 +38,8 @@ from torchprt.transport.solve import channels_first, solve, surfaces, vertex_rec
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface import bodies_of, unshadowed_through
 from torchprt.transport.task import CHUNK, Runner
+from torchprt.transport.texels import Lightmapped, lightmapped
+from torchprt.transport.texels import with_sight as texels_with_sight
 from torchprt.transport.through_volume import ThroughVolume, through
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
@@ -49,6 +54,7 @@ def bake(
     bounces: Bounces = 0,
     shadows: bool = True,
     receivers: Points | None = None,
+    lightmap: Lightmap | None = None,
     volume: Volume | Transfer | None = None,
     seed: int = 0,
     threads: int | None = None,
@@ -73,6 +79,9 @@ def bake(
       closed form without any ray.
     - `receivers`: points to record at instead of the scene's vertices, of an albedo and a gloss of their own; all
       bounces but the last still run over the vertices.
+    - `lightmap`: record at the texels of a map of the scene's surfaces instead, and follow bounces from texel to texel:
+      `Atlas` receivers, however coarse the meshes are. A texel records with one frame, about the mean normal of its
+      samples, and its rays start from each sample in turn.
     - `volume`: what light goes through on its way to the surfaces and between them. A `Volume` casts shadow alone; the
       transfer of `bake_volume` also sends them the light that it scatters. What surfaces send is not scattered by it.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
@@ -121,6 +130,14 @@ def bake(
     """
     check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     geometry = scene.geometry()
+    texels: Lightmapped | None = None
+    if lightmap is not None:
+        if receivers is not None:
+            raise InputError("receivers and a lightmap are both given: leave one of the two out")
+        if shadows and lightmap.samples > rays:
+            raise InputError(f"{rays} rays a texel cannot start from {lightmap.samples} samples: give more, or fewer samples")
+        texels = lightmapped(scene, geometry, lightmap, numbers(scene, order, bounces, output_order))
+        geometry = texels.geometry
     membranes = sheets(geometry)
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
     recorded = geometry if receivers is None else among(receivers, geometry)
@@ -131,6 +148,7 @@ def bake(
     elif wanted != Wanted("exit", order, "optimal", None, order):
         raise InputError("frame, output_order, projection and factors are for glossy materials: the scene has none")
     between = _between(volume, geometry, order, shadows, wanted if is_glossy else None)
+    baked: Transfer
     if not shadows:
         shown = unshadowed(recorded.receiver_normals, order).T
         if receivers is None:
@@ -139,15 +157,23 @@ def bake(
                 shown = unshadowed_through(shown, bodies_of(geometry), Stages(workers, Silent()))
         vectors = channels_first(shown, shown.shape[1] // order**2)
         if is_glossy and (receivers is None or len(recorded.glossy)):
-            return bake_glossy.bake_unshadowed(recorded, wanted, order, vectors)
-        return result.diffuse(recorded, vectors, transport="unshadowed")
+            baked = bake_glossy.bake_unshadowed(recorded, wanted, order, vectors)
+        else:
+            baked = result.diffuse(recorded, vectors, transport="unshadowed")
+        return baked if texels is None else dataclasses.replace(baked, receivers=texels.atlas(None))
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = max(scene.requires(bounces).channels, 1 if between is None else between.channels)
     bodies = bodies_of(geometry)
-    everything, validity = vertex_receivers(geometry, tracer), None
-    if not raw:
-        geometry, everything, validity = with_sight(geometry, tracer, everything)
-    met = surfaces(geometry, between)
+    if texels is not None:
+        met: Surfaces = texels.surfaces(between)
+        everything, validity = texels.receivers(tracer), None
+        if not raw:
+            everything, validity = texels_with_sight(texels, tracer, everything)
+    else:
+        everything, validity = vertex_receivers(geometry, tracer), None
+        if not raw:
+            geometry, everything, validity = with_sight(geometry, tracer, everything)
+        met = surfaces(geometry, between)
     job = Job(tracer, met, everything, order, rays, seed, channels, membranes, validity, enough, bodies)
     folder = None if checkpoint is None else Path(checkpoint)
     with contextlib.ExitStack() as stack:
@@ -159,7 +185,6 @@ def bake(
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
         stages = Stages(runner, report, store)
-        baked: Transfer
         if points is not None and (len(points.glossy) or (bounces and len(geometry.glossy))):
             baked = bake_points(job, geometry, points, wanted, bounces, stages)
         elif is_glossy and points is None:
@@ -169,7 +194,14 @@ def bake(
         if store is not None and not keep:
             store.discard()
     warn_of_cut(baked.cut)
-    return baked
+    return baked if texels is None else dataclasses.replace(baked, receivers=texels.atlas(validity))
+
+
+def numbers(scene: Scene, order: int, bounces: Bounces, output_order: int | None) -> int:
+    """float32 numbers that a bake holds of each receiver: of vectors, and of matrices of glossy ones."""
+    needed = scene.requires(0 if bounces == 0 else math.inf)
+    count = needed.channels * order**2 * (1 if bounces == 0 else 4)
+    return count * (1 + (output_order or order) ** 2) if needed.kind == "glossy" else count
 
 
 def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int | float, stages: Stages) -> Transfer:
@@ -251,6 +283,7 @@ def store_of(
         return
     contents = [geometry.positions, geometry.faces, geometry.receiver_positions, geometry.receiver_normals]
     contents += [geometry.receiver_of_vertex, geometry.back_receiver_of_vertex, job.receivers.origins]
+    contents += job.surfaces.contents()
     if len(geometry.reflectance):
         contents += [geometry.mirror, geometry.reflectance, geometry.mirror_normals]
     parameters: dict[str, Any] = {

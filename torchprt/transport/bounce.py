@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.trace import Hits, Mirrors, Tracer
@@ -56,6 +56,22 @@ class Surfaces:
     back: Int[Tensor, "F 3"]
     mirrors: Mirrors | None = None
     volume: ThroughVolume | None = None
+
+    @property
+    def reflect(self) -> tuple[Bool[Tensor, "F"], Bool[Tensor, "F"]]:
+        """Whether the front and the back of every triangle reflect."""
+        return (self.front >= 0).any(-1), (self.back >= 0).any(-1)
+
+    def senders(
+        self, triangle: Int[Tensor, "E"], u: Float[Tensor, "E"], v: Float[Tensor, "E"], front: Bool[Tensor, "E"]
+    ) -> tuple[Int[Tensor, "E K"], Float[Tensor, "E K"]]:
+        """The receivers whose exit radiance makes up that of points on triangles, -1 for none, and their weights."""
+        corners = torch.where(front[:, None], self.front[triangle], self.back[triangle])
+        return corners, torch.stack([1 - u - v, u, v], -1)
+
+    def contents(self) -> list[Tensor]:
+        """All that decides the senders and that the geometry does not say."""
+        return []
 
     @property
     def channels(self) -> int:
@@ -114,11 +130,10 @@ def _entries(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Entries a receiver, their sources and weights, of a block. `share [v, D, A]`: what is left of each ray."""
     row, column = torch.nonzero((hits.triangle >= 0) & lit[:, None], as_tuple=True)
-    triangle = hits.triangle[row, column].long()
-    corners = torch.where(hits.front[row, column][:, None], surfaces.front[triangle], surfaces.back[triangle])
-    u, v = hits.u[row, column], hits.v[row, column]
-    values = torch.stack([1 - u - v, u, v], -1) * weights[column][:, None]
-    reflects = corners >= 0
+    met = (part[row, column] for part in (hits.triangle.long(), hits.u, hits.v, hits.front))
+    senders, parts = surfaces.senders(*met)
+    values = parts * weights[column][:, None]
+    reflects = senders >= 0
     counts = torch.bincount(row, weights=reflects.sum(-1).to(torch.float64), minlength=len(lit)).long()
     values = values[..., None] if share is None else values[..., None] * share[row, column][:, None]
-    return counts, corners[reflects].to(torch.int32), values[reflects]
+    return counts, senders[reflects].to(torch.int32), values[reflects]

@@ -247,7 +247,7 @@ def reflecting(
     """Of the rays of a block those that end on a surface which reflects, by way of mirrors if `seen` is given, through
     a volume if that is."""
     hits = hits if seen is None else seen.hits
-    reflects = ((surfaces.front >= 0).any(-1), (surfaces.back >= 0).any(-1))
+    reflects = surfaces.reflect
     triangle = hits.triangle.clamp(min=0).long()
     wanted = (hits.triangle >= 0) & lit[:, None] & torch.where(hits.front, reflects[0][triangle], reflects[1][triangle])
     row, column = torch.nonzero(wanted, as_tuple=True)
@@ -279,11 +279,10 @@ def exit_radiance_at(
     """Exit radiance of the points that rays hit, toward where the rays came from."""
     triangle, front = arrivals.triangle[part].long(), arrivals.front[part]
     u, v = arrivals.u[part], arrivals.v[part]
-    weights = torch.stack([1 - u - v, u, v], -1)
     found = []
     for some in _pieces(len(triangle)):
-        corners = torch.where(front[some][:, None], surfaces.front[triangle[some]], surfaces.back[triangle[some]])
-        share = torch.where(corners >= 0, weights[some], 0)
+        corners, weights = surfaces.senders(triangle[some], u[some], v[some], front[some])
+        share = torch.where(corners >= 0, weights, 0)
         corners = corners.clamp(min=0)
         radiance = _sum_of_rows(corners, share, exitant.table)
         number = torch.where(share > 0, everything.number[corners], -1)

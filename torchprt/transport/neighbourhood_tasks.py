@@ -97,7 +97,7 @@ class Surround(TracingTask):
 def _within(job: Job, hits: Hits) -> Bool[Tensor, "v"]:
     """Whether a quarter of the rays that end somewhere end on the back of a surface that has none. All do inside of a
     solid, half of them on its surface."""
-    backs = (job.surfaces.back >= 0).any(-1)[hits.triangle.clamp(min=0).long()]
+    backs = job.surfaces.reflect[1][hits.triangle.clamp(min=0).long()]
     odd = (hits.triangle >= 0) & ~hits.front & ~backs
     return odd.sum(1) > 0.25 * (hits.triangle >= 0).sum(1)
 

@@ -18,13 +18,14 @@ BLOCK = 1 << 16
 @dataclass
 class Receivers:
     """Where transfer is recorded: points and unit normals in the world, float64, and ray `origins` in the frame of
-    the tracer, float32. A receiver with a zero normal has zero transfer.
+    the tracer, float32: one a receiver, or S, [V, S, 3], that its rays take in turn. A receiver with a zero normal has
+    zero transfer.
 
     `tangents`: unit and orthogonal to the normals, zero where any frame will do; None if that is everywhere."""
 
     points: Float[Tensor, "V 3"]
     normals: Float[Tensor, "V 3"]
-    origins: Float[Tensor, "V 3"]
+    origins: Float[Tensor, "V *S 3"]
     tangents: Float[Tensor, "V 3"] | None = None
 
     def __len__(self) -> int:

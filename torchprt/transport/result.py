@@ -45,7 +45,7 @@ def _mirrors(geometry: Geometry) -> dict[str, Tensor]:
     of_vertex = torch.zeros(len(used), dtype=torch.int64)
     of_vertex[corners.flatten()] = geometry.mirror[shining].repeat_interleave(3)
     return {
-        "mirror_positions": _single(geometry.positions[used]),
+        "mirror_positions": single(geometry.positions[used]),
         "mirror_normals": geometry.mirror_normals[used].to(torch.float32),
         "mirror_reflectance": geometry.reflectance[of_vertex].expand(-1, 3).contiguous(),
         "mirror_faces": corners.to(torch.int32),
@@ -59,10 +59,10 @@ def uniform(weights: Tensor) -> Tensor:
 
 
 def _where(positions: Tensor, normals: Tensor, faces: Tensor) -> Vertices:
-    return Vertices(positions=_single(positions), normals=normals.to(torch.float32), faces=faces.to(torch.int32))
+    return Vertices(positions=single(positions), normals=normals.to(torch.float32), faces=faces.to(torch.int32))
 
 
-def _single(positions: Tensor) -> Tensor:
+def single(positions: Tensor) -> Tensor:
     """In float32 if that says the same: a scan comes so, and twice the bytes would say nothing more."""
     single = positions.to(torch.float32)
     return single if bool((single.to(torch.float64) == positions).all()) else positions

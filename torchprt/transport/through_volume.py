@@ -13,7 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.scene import Volume
 from torchprt.sh import basis
-from torchprt.trace import Hits, Tracer
+from torchprt.trace import Hits, Tracer, starts
 from torchprt.transfer import Transfer
 
 # Rays followed at a time, so that what is known of them stays in a core's cache.
@@ -93,7 +93,7 @@ class ThroughVolume:
     def left(
         self,
         tracer: Tracer,
-        origins: Float[Tensor, "v 3"],
+        origins: Float[Tensor, "v *S 3"],
         frames: Float[Tensor, "v 3 3"],
         directions: Float[Tensor, "D 3"],
         wanted: Bool[Tensor, "v D"],
@@ -110,7 +110,7 @@ class ThroughVolume:
     def seen(
         self,
         tracer: Tracer,
-        origins: Float[Tensor, "v 3"],
+        origins: Float[Tensor, "v *S 3"],
         frames: Float[Tensor, "v 3 3"],
         directions: Float[Tensor, "D 3"],
         hits: Hits,
@@ -166,12 +166,14 @@ class _Rays:
         self,
         volume: ThroughVolume,
         tracer: Tracer,
-        origins: Float[Tensor, "v 3"],
+        origins: Float[Tensor, "v *S 3"],
         toward: Float[Tensor, "v D 3"],
         ends: Float[Tensor, "v D"],
     ):
         self.volume, self.toward, self.unit = volume, toward, 1 / float(tracer.scale)
         per_cell = 1 / (tracer.scale * volume.spacing)
+        # One a receiver for all of its rays, or one a ray.
+        origins = origins if origins.ndim == 2 else starts(origins, toward.shape[1])
         self.start = origins.double() * per_cell + (tracer.centre - volume.corner) / volume.spacing
         self.start = self.start.to(torch.float32)
         self.per_cell = per_cell.to(torch.float32)
@@ -193,7 +195,7 @@ class _Rays:
         step = self.toward[rows] * self.per_cell
         # A direction along a plane meets it far away.
         step = torch.where(step.abs() < 1e-20, 1e-20, step)
-        start = self.start[rows, None]
+        start = self.start[rows] if self.start.ndim == 3 else self.start[rows, None]
         first, last = -start / step, (self.high - start) / step
         near = torch.minimum(first, last).amax(-1).clamp(min=0)
         far = torch.minimum(torch.maximum(first, last).amin(-1), self.ends[rows])
@@ -202,7 +204,7 @@ class _Rays:
             self.volume.extinction,
             self.volume.number if record else None,
             self.unit,
-            start[which // step.shape[1], 0],
+            start.expand_as(step).flatten(0, 1)[which],
             step.flatten(0, 1)[which],
             near.flatten()[which],
             far.flatten()[which],

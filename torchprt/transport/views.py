@@ -58,7 +58,7 @@ class Viewer:
         self.used = torch.zeros(geometry.receivers, dtype=torch.bool)
         self.used[geometry.display_faces.flatten()] = True
         self.places = self.tracer.local(geometry.positions)
-        piece, closed = _pieces(geometry)
+        piece, closed = pieces(geometry)
         # The back of a two-sided sheet is as good as its front, unless it encloses something.
         self.solid = ~geometry.two_sided | closed[piece]
         self.piece = torch.where(closed[piece], _ANY, piece)
@@ -99,7 +99,7 @@ class Viewer:
         return Views(*shares)
 
 
-def _pieces(geometry: Geometry) -> tuple[Int[Tensor, "F"], Bool[Tensor, "P"]]:
+def pieces(geometry: Geometry) -> tuple[Int[Tensor, "F"], Bool[Tensor, "P"]]:
     """The connected piece of surface of each face, and which pieces are closed: their backs are inside.
 
     A piece is closed if no edge has a single face."""

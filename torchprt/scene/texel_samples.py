@@ -1,0 +1,213 @@
+"""Where the texels of a map are on the surfaces of a scene, and what these are made of there."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, Int64
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from torchprt.brdf import Brdf
+from torchprt.errors import InputError
+from torchprt.words import count
+
+from .charts import Charts, charts_of
+from .geometry import Geometry, distinct
+from .glosses import Glosses
+from .lightmap import Lightmap
+from .object import Object
+from .points import Points
+from .rasterise import Raster, rasterise, with_seams
+from .scene import Scene
+from .seams import Seams, seams
+from .tangents import orthogonal
+
+# Samples of texels that are looked at together.
+BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class TexelSamples:
+    """The V texels of a map with S samples each, on the surfaces of a scene.
+
+    - `points`: what each records: positions and unit normals in the mean of its samples, the means of albedo and
+      specular, the gloss of its first sample.
+    - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a smooth
+      surface through the vertices with their normals would be, so that a facet does not shade itself.
+    - `face [V, S]`: of all faces of the scene; `extent [V]`: that of the largest of them.
+    - `chart [V]`; of all faces of the scene `chart_of_face [F]`, and `uv [F, 3, 2]`, NaN where they record nothing.
+    - `seams`: where surfaces go on beyond the borders of charts, in texels.
+    - `notes`: what was decided and mended, in sentences.
+    Source of the move: Hanika, Ray Tracing Gems 2 (2021), chapter 4, Hacking the Shadow Terminator.
+    """
+
+    lightmap: Lightmap
+    points: Points
+    raster: Raster
+    origins: Float64[Tensor, "V S 3"]
+    face: Int64[Tensor, "V S"]
+    extent: Float64[Tensor, "V"]
+    chart: Int64[Tensor, "V"]
+    chart_of_face: Int64[Tensor, "F"]
+    uv: Float64[Tensor, "F 3 2"]
+    seams: Seams
+    notes: tuple[str, ...]
+
+
+def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> TexelSamples:
+    """The texels of a map of a scene.
+
+    Raises InputError as `charts_of`, if there is no texel on any surface, or if a surface is of a kind that is recorded
+    at vertices alone: translucent, or a body that light diffuses in.
+    """
+    objects = scene.objects
+    for each in objects:
+        if each.receives and (each.material.translucency or each.material.medium is not None):
+            kind = "translucent" if each.material.translucency else "a medium that light diffuses in"
+            raise InputError(
+                f"{each.mesh.name} is {kind}, which is recorded at vertices: bake it without texels, and take the "
+                "result to texels with transfer.to_texels"
+            )
+    charts = charts_of(objects, lightmap.uv, lightmap.rows, lightmap.columns, lightmap.gutter)
+    uv, chart = _of_all(objects, charts)
+    raster = rasterise(uv, chart, lightmap.rows, lightmap.columns, lightmap.across)
+    if not len(raster.texel):
+        raise InputError("the texture coordinates of the scene put nothing on the map: use --uv unwrap")
+    notes = [*charts.notes, *_notes(objects, raster)]
+    size = np.array([lightmap.columns, lightmap.rows])
+    normals = np.concatenate([each.mesh.normals.numpy()[each.mesh.faces.numpy()] for each in objects])
+    beyond = seams(geometry.positions.numpy(), geometry.faces.numpy(), normals, uv * size, lightmap.gutter + 1.0)
+    number = geometry.face_object.numpy()
+    beyond = beyond.take(number[beyond.face] == number[beyond.other])
+    # Samples beyond a seam are of another chart.
+    chart_of_texel = chart[raster.face[:, 0]]
+    raster = with_seams(raster, beyond, chart, lightmap.rows, lightmap.columns, lightmap.across)
+    samples = _Samples(objects, geometry, raster)
+    return TexelSamples(
+        lightmap,
+        samples.points(),
+        raster,
+        samples.origins,
+        torch.from_numpy(raster.face.astype(np.int64)),
+        samples.extent,
+        torch.from_numpy(chart_of_texel),
+        torch.from_numpy(chart),
+        torch.from_numpy(uv),
+        beyond,
+        tuple(notes),
+    )
+
+
+def _of_all(objects: Sequence[Object], charts: Charts) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates and charts of all faces of a scene."""
+    uv, number, first = [], [], 0
+    for each, own, pieces in zip(objects, charts.uv, charts.chart, strict=True):
+        uv.append(own.numpy() if each.receives else np.full((len(each.mesh.faces), 3, 2), np.nan))
+        number.append(pieces.numpy() + first)
+        first += int(pieces.max()) + 1
+    return np.concatenate(uv), np.concatenate(number)
+
+
+def _notes(objects: Sequence[Object], raster: Raster) -> list[str]:
+    notes = []
+    if raster.lost.any():
+        notes.append(
+            f"{count(int(raster.lost.sum()), 'face')} of the map have no texel of their own and show what their "
+            "neighbours do"
+        )
+    thin = int((raster.covered == 0).sum())
+    if thin:
+        notes.append(f"{count(thin, 'texel')} of {len(raster.texel)} are touched by a chart and hold no sample of it")
+    both = [each.mesh.name for each in objects if each.receives and bool(each.two_sided.any())]
+    if both:
+        notes.append(f"{', '.join(both)}: texels are of one side, the other is black")
+    return notes
+
+
+class _Samples:
+    """What is at the samples of all texels, object by object."""
+
+    def __init__(self, objects: Sequence[Object], geometry: Geometry, raster: Raster):
+        texels, per = raster.face.shape
+        self.channels = 3 if any(each.coloured for each in objects) else 1
+        self.positions = torch.zeros(texels, 3, dtype=torch.float64)
+        self.normals, self.tangents = torch.zeros_like(self.positions), torch.zeros_like(self.positions)
+        self.origins = torch.zeros(texels, per, 3, dtype=torch.float64)
+        self.extent = torch.zeros(texels, dtype=torch.float64)
+        self.albedo, self.specular = torch.zeros(texels, 3), torch.zeros(texels, 3)
+        self.gloss = torch.full((texels,), -1)
+        self.models = distinct([brdf for each in objects if each.glossy for brdf in each.material.glosses])
+        starts = [0, *itertools.accumulate(len(each.mesh.faces) for each in objects)]
+        of_texel = np.searchsorted(starts, raster.face[:, 0], side="right") - 1
+        for number, each in enumerate(objects):
+            mine = np.flatnonzero(of_texel == number)
+            for some in np.array_split(mine, len(mine) * per // BLOCK + 1):
+                if len(some):
+                    face = torch.from_numpy(raster.face[some].astype(np.int64) - starts[number])
+                    self._fill(each, torch.from_numpy(some), face, torch.from_numpy(raster.weights[some]))
+
+    def _fill(self, object: Object, rows: Tensor, face: Tensor, weights: Tensor) -> None:
+        """The texels `rows` of one object: `face [v, S]` of its own, `weights [v, S, 3]` of their corners."""
+        mesh, shape = object.mesh, face.shape
+        corners = mesh.positions[mesh.faces[face]]
+        places = (corners * weights[..., None]).sum(-2)
+        flat, shares = face.flatten(), weights.flatten(0, 1)
+        normals = object.normal_at(flat, shares).unflatten(0, shape)
+        self.positions[rows] = places.mean(1)
+        self.normals[rows] = _mean_direction(normals)
+        self.origins[rows] = _smoothed(places, corners, mesh.normals[mesh.faces[face]], weights)
+        self.extent[rows] = (corners.amax(-2) - corners.amin(-2)).amax((-1, -2))
+        self.albedo[rows] = object.albedo_at(flat, shares).unflatten(0, shape).mean(1).expand(-1, 3)
+        if object.glossy:
+            self.specular[rows] = object.specular_at(flat, shares).unflatten(0, shape).mean(1).expand(-1, 3)
+            own = self._numbers(object.material.glosses)
+            gloss = object.gloss_at(face[:, 0], weights[:, 0])
+            self.gloss[rows] = torch.where(gloss >= 0, own[gloss.clamp(min=0)], -1)
+            along = (mesh.tangent_field[mesh.faces[face]] * weights[..., None]).sum((-2, -3))
+            turned = orthogonal(along.numpy(), self.normals[rows].numpy())
+            self.tangents[rows] = torch.from_numpy(turned)
+
+    def _numbers(self, glosses: Sequence[Brdf]) -> Int64[Tensor, "models"]:
+        """The numbers of the glosses of an object among those of the scene."""
+        return torch.tensor([self._number(each) for each in glosses])
+
+    def _number(self, brdf: Brdf) -> int:
+        return next(at for at in range(len(self.models)) if len(distinct([self.models[at], brdf])) == 1)
+
+    def points(self) -> Points:
+        """All texels as receivers."""
+        glosses = Glosses(self.models, self.gloss) if self.models and bool((self.gloss >= 0).any()) else None
+        return Points(
+            self.positions,
+            self.normals,
+            albedo=_narrow(self.albedo),
+            **({} if glosses is None else {"gloss": glosses, "specular": _narrow(self.specular)}),
+            tangents=self.tangents,
+        )
+
+
+def _narrow(values: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V C"]:
+    """One channel if all three are alike."""
+    return values if bool((values != values[:, :1]).any()) else values[:, :1]
+
+
+def _mean_direction(normals: Float64[Tensor, "v S 3"]) -> Float64[Tensor, "v 3"]:
+    """The unit mean of some normals; where they cancel the first."""
+    mean = normals.mean(1)
+    return torch.where(mean.norm(dim=-1, keepdim=True) > 1e-6, normalize(mean, dim=-1), normals[:, 0])
+
+
+def _smoothed(
+    places: Float64[Tensor, "v S 3"],
+    corners: Float64[Tensor, "v S 3 3"],
+    normals: Float64[Tensor, "v S 3 3"],
+    weights: Float64[Tensor, "v S 3"],
+) -> Float64[Tensor, "v S 3"]:
+    """Places of faces moved out to where a surface with the normals of the corners would be; never inward."""
+    below = ((places[..., None, :] - corners) * normals).sum(-1).clamp(max=0)
+    return places - (below[..., None] * normals * weights[..., None]).sum(-2)
