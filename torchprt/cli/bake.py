@@ -40,6 +40,10 @@ def bake(
     ground: bake_options.Ground = None,
     ground_albedo: bake_options.GroundAlbedo = None,
     volume: bake_options.Through = None,
+    texels: bake_options.Texels = None,
+    uv: bake_options.UV = None,
+    texel_samples: bake_options.TexelSamples = None,
+    gutter: bake_options.Gutter = None,
     unshadowed: Annotated[bool, typer.Option("--unshadowed", help="The closed form, without any ray.")] = False,
     raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: bake_options.Seed = None,
@@ -69,6 +73,7 @@ def bake(
     count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
+    asked = bake_options.lightmap(texels, uv, texel_samples, gutter)
     located = bake_options.located(sample_points, sample_gradients, seed or 0)
     recipe, predicted = None, dict[str, float]()
     if plan is not None:
@@ -95,7 +100,7 @@ def bake(
     through = None if volume is None else bake_options.through(volume)
     if recipe is not None:
         say(f"{plan}: {recipe.name}")
-        common = {"seed": seed or 0, "threads": threads, "raw": raw, "volume": through}
+        common = {"seed": seed or 0, "threads": threads, "raw": raw, "volume": through, "lightmap": asked}
         _bake_planned(scene, output, recipe, predicted, located, **common)
         return
     transfer = bake_options.baked(
@@ -116,6 +121,7 @@ def bake(
         factors=few,
         raw=raw,
         volume=through,
+        lightmap=asked,
     )
     for line in details(transfer)[1:]:
         say(line)

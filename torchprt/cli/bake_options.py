@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -16,7 +16,7 @@ from torchprt.cli.report import complain, describe, say
 from torchprt.errors import InputError
 
 if TYPE_CHECKING:
-    from torchprt.scene import Object, Scene
+    from torchprt.scene import Lightmap, Object, Scene
     from torchprt.transfer import Transfer
 
 ORDER, RAYS, BOUNCES = 5, 1024, "auto"
@@ -151,6 +151,69 @@ SampleGradients = Annotated[
         help="Also how it changes there: four lights a point, and a third of the error.",
     ),
 ]
+TEXELS = "Texels"
+Texels = Annotated[
+    str | None,
+    typer.Option(
+        "--texels",
+        rich_help_panel=TEXELS,
+        help="Record at the texels of a map, 1024 along a side, or 1024x512, instead of at vertices.",
+        show_default="vertices",
+    ),
+]
+UV = Annotated[
+    str | None,
+    typer.Option(
+        "--uv",
+        rich_help_panel=TEXELS,
+        help="The set of texture coordinates to use, from 0, or unwrap, which makes charts anew.",
+        show_default="1, else 0 if it does, else unwrap",
+    ),
+]
+TexelSamples = Annotated[
+    int | None,
+    typer.Option(
+        "--texel-samples",
+        rich_help_panel=TEXELS,
+        help="Places in a texel that its rays start from: 1, 4, 9, 16, ...",
+        show_default="4",
+    ),
+]
+Gutter = Annotated[
+    int | None,
+    typer.Option(
+        "--gutter",
+        rich_help_panel=TEXELS,
+        help="Texels around a chart that are filled, for what filters read beside it.",
+        show_default="4",
+    ),
+]
+
+
+def lightmap(texels: str | None, uv: str | None, samples: int | None, gutter: int | None) -> Lightmap | None:
+    """The map that these options ask for, if they do."""
+    given = {"--uv": uv, "--texel-samples": samples, "--gutter": gutter}
+    if texels is None:
+        for name, value in given.items():
+            if value is not None:
+                raise InputError(f"{name} is given, and no map: give --texels 1024, say")
+        return None
+    from torchprt.scene import Lightmap
+
+    sides = texels.lower().split("x")
+    if len(sides) > 2 or not all(side.isdigit() for side in sides):
+        raise InputError(f"--texels is '{texels}': give the texels along a side, 1024, or columns and rows, 1024x512")
+    if uv is not None and uv != "unwrap" and not uv.isdigit():
+        raise InputError(f"--uv is '{uv}': give the number of a set of texture coordinates, from 0, or unwrap")
+    chosen: int | Literal["unwrap"] | None = None if uv is None else "unwrap" if uv == "unwrap" else int(uv)
+    return Lightmap(
+        (int(sides[0]), int(sides[-1])),
+        chosen,
+        4 if samples is None else samples,
+        4 if gutter is None else gutter,
+    )
+
+
 WithGround = Annotated[
     bool, typer.Option("--with-ground", help="The ground of the bake is part of the model: framed, whole, written.")
 ]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
-    from torchprt.transfer import Cells, Layer, Transfer
+    from torchprt.transfer import Atlas, Cells, Layer, Transfer
 
 
 def say(what: Any) -> None:
@@ -87,6 +87,8 @@ def _place(transfer: Transfer) -> str:
     """What its receivers are called."""
     if not transfer.receivers.on_surface:
         return "cell"
+    if "texel" in transfer.receivers.tensors():
+        return "texel"
     return "node" if "receivers" in transfer.needs else "vertex"
 
 
@@ -94,14 +96,16 @@ def details(transfer: Transfer) -> list[str]:
     """Lines about where a transfer was recorded, and of each layer what it is and what it loses."""
     place = transfer.receivers.metadata()
     lines = [f"{count(transfer.vertices, 'receiver')}, {count(len(transfer.faces), 'face')}"]
-    if "rows" in place:
+    if "tiles_u" in place:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
+    if "gutter" in transfer.receivers.tensors():
+        lines = _atlas(transfer.receivers.as_atlas())
     if not transfer.receivers.on_surface:
         lines = _volume(transfer.receivers.as_cells())
     elif "spacing" in place:
         lines = _grid(place)
-    objects = [each for each in place.get("objects", ()) if each["side"] == "front"]
+    objects = [each for each in place.get("objects", ()) if each.get("side") == "front"]
     if len(objects) > 1:
         told = [f"{Path(each['name']).name} ({each['rows'][1] - each['rows'][0]})" for each in objects]
         lines.append(f"{count(len(objects), 'object')}: {', '.join(told)}")
@@ -121,6 +125,17 @@ def details(transfer: Transfer) -> list[str]:
         told = _clusters(transfer, layer) + _lobes(layer) + _surface(layer)
         lines += [f"{name}: {line}" for line in told]
     return lines
+
+
+def _atlas(atlas: Atlas) -> list[str]:
+    """How much of a map is covered, and how it was laid out."""
+    charts = int(atlas.chart.max()) + 1 if atlas.count else 0
+    share = atlas.count / (atlas.rows * atlas.columns)
+    lines = [
+        f"map of {atlas.columns} x {atlas.rows} texels, {share:.1%} of them on {count(charts, 'chart')}, "
+        f"{count(len(atlas.gutter), 'texel')} of gutters"
+    ]
+    return lines + list(atlas.notes)
 
 
 def _volume(cells: Cells) -> list[str]:

@@ -17,8 +17,8 @@ class Lightmap:
     """Record at the texels of a map instead of at vertices.
 
     - `size`: texels along a side of a square map, or (columns, rows).
-    - `uv`: the set of texture coordinates that says where faces are on the map, from 0; "unwrap" makes charts anew; None
-      takes what fits, see `charts_of`.
+    - `uv`: the set of texture coordinates that says where faces are on the map, from 0; "unwrap" makes charts anew;
+      None takes what fits, see `charts_of`.
     - `samples`: places in a texel that its rays start from in turn: 1, 4, 9, 16, ..., a square grid.
     - `gutter`: how many texels around a chart are filled for what filters read beside it. Between charts that are made
       here lies twice that.

@@ -23,8 +23,8 @@ class Raster:
     """The texels that faces cover, each with S = k * k samples.
 
     - `texel [V]`: their numbers, row * columns + column, ascending; each is of one chart.
-    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would lie
-      beside the chart repeat others of the same texel.
+    - `face [V, S]`, `weights [V, S, 3]`: the face of each sample, and the weights of its corners. Samples that would
+      lie beside the chart repeat others of the same texel.
     - `own [V, S]`: which samples lie in the chart, at their own places of a regular grid, row after row; none where the
       chart only touches the texel: all samples are then the point of it that is nearest to the middle.
     - `twice`: how many texels have a sample in several faces.
@@ -84,7 +84,7 @@ def rasterise(
     A texel is of the `chart` that most of its samples are in, or, where there is none, of that which is nearest to its
     middle. Faces whose coordinates are missing (NaN) or outside of the square cover what lies inside.
     Laws: samples on the edge of two faces are of the first; a map of twice the size and half the `across` has the same
-    samples. Time and memory: of the samples of the map, 5 bytes each, and of those that are covered.
+    samples. Time and memory: of the samples of the map, 10 bytes each, and of those that are covered.
     """
     known = np.isfinite(uv).all(axis=(1, 2))
     corners = np.where(known[:, None, None], uv, 0.0) * [columns, rows]
@@ -111,6 +111,7 @@ def _covers(
     cover = np.full(rows * columns, none, np.int32)
     several = np.zeros(rows * columns, bool)
     inside = np.zeros(rows * columns, bool)
+    last_turn = np.zeros(rows * columns, np.int32)
     for face, row in _rows_of(corners[..., 1] - 0.5, known, rows, closed=True):
         low, high = _span(corners[face], row + 0.5)
         first = np.clip(np.ceil(low - 0.5), 0, columns).astype(np.int64)
@@ -122,16 +123,15 @@ def _covers(
             margin = SLACK * across
             strictly = (x > low[some] + margin) & (x < high[some] - margin)
             strictly &= (y > heights.min(1) + margin) & (y < heights.max(1) - margin)
-            deep = cell[strictly]
+            deep, turn = cell[strictly], np.arange(int(strictly.sum()), dtype=np.int32)
             several[deep[inside[deep]]] = True
-            # Twice in one go.
-            seen, count = np.unique(deep, return_counts=True)
-            several[seen[count > 1]] = True
+            # Twice in one go: the last write wins.
+            last_turn[deep] = turn
+            several[deep[last_turn[deep] != turn]] = True
             inside[deep] = True
-            # The last write wins, so the first face is written last.
-            order = np.argsort(-face[some], kind="stable")
-            taken = cell[order]
-            cover[taken] = np.minimum(cover[taken], face[some][order])
+            # Faces ascend, and what is written last is to be the first.
+            first_face = np.minimum(cover[cell], face[some])
+            cover[cell[::-1]] = first_face[::-1]
     cover[cover == none] = -1
     blocks = several.reshape(rows // across, across, columns // across, across)
     return cover.reshape(rows, columns), int(blocks.any(axis=(1, 3)).sum())
@@ -267,9 +267,13 @@ def _touched(
             cell = row[some] * columns + column
             open = free[cell]
             pairs.append((cell[open], face[some][open]))
-    cell, face = (np.concatenate([np.zeros(0, np.int64), *part]) for part in zip(*pairs, strict=True)) if pairs else (
-        np.zeros(0, np.int64),
-        np.zeros(0, np.int64),
+    cell, face = (
+        (np.concatenate([np.zeros(0, np.int64), *part]) for part in zip(*pairs, strict=True))
+        if pairs
+        else (
+            np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
+        )
     )
     middle = np.stack([cell % columns + 0.5, cell // columns + 0.5], axis=-1)
     weights, distance = _nearest(corners[face], middle)

@@ -46,7 +46,7 @@ def seams(
     different places of the map. Each is there twice, once from either side.
     """
     face, corner, other, other_corner = _pairs(positions, faces, normals, uv)
-    outward, share, height = _outward(positions, faces, uv, face, corner)
+    outward, _, _ = _outward(positions, faces, uv, face, corner)
     inward, other_share, other_height = _outward(positions, faces, uv, other, other_corner)
     inward = -inward
     a, b = uv[face, corner], uv[face, (corner + 1) % 3]

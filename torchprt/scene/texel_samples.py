@@ -37,8 +37,8 @@ class TexelSamples:
 
     - `points`: what each records: positions and unit normals in the mean of its samples, the means of albedo and
       specular, the gloss of its first sample.
-    - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a smooth
-      surface through the vertices with their normals would be, so that a facet does not shade itself.
+    - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a
+      smooth surface through the vertices with their normals would be, so that a facet does not shade itself.
     - `face [V, S]`: of all faces of the scene; `extent [V]`: that of the largest of them.
     - `chart [V]`; of all faces of the scene `chart_of_face [F]`, and `uv [F, 3, 2]`, NaN where they record nothing.
     - `seams`: where surfaces go on beyond the borders of charts, in texels.
@@ -78,7 +78,7 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     raster = rasterise(uv, chart, lightmap.rows, lightmap.columns, lightmap.across)
     if not len(raster.texel):
         raise InputError("the texture coordinates of the scene put nothing on the map: use --uv unwrap")
-    notes = [*charts.notes, *_notes(objects, raster)]
+    notes = [*charts.notes, *_notes(objects, raster, uv, chart)]
     size = np.array([lightmap.columns, lightmap.rows])
     normals = np.concatenate([each.mesh.normals.numpy()[each.mesh.faces.numpy()] for each in objects])
     beyond = seams(geometry.positions.numpy(), geometry.faces.numpy(), normals, uv * size, lightmap.gutter + 1.0)
@@ -113,16 +113,17 @@ def _of_all(objects: Sequence[Object], charts: Charts) -> tuple[np.ndarray, np.n
     return np.concatenate(uv), np.concatenate(number)
 
 
-def _notes(objects: Sequence[Object], raster: Raster) -> list[str]:
+def _notes(objects: Sequence[Object], raster: Raster, uv: np.ndarray, chart: np.ndarray) -> list[str]:
     notes = []
     if raster.lost.any():
         notes.append(
             f"{count(int(raster.lost.sum()), 'face')} of the map have no texel of their own and show what their "
             "neighbours do"
         )
-    thin = int((raster.covered == 0).sum())
-    if thin:
-        notes.append(f"{count(thin, 'texel')} of {len(raster.texel)} are touched by a chart and hold no sample of it")
+    seen = np.unique(chart[raster.face[raster.own.any(axis=1), 0]])
+    small = len(np.setdiff1d(chart[np.isfinite(uv).all(axis=(1, 2))], seen))
+    if small:
+        notes.append(f"{count(small, 'chart')} smaller than a texel: sampled at the point nearest to its middle")
     both = [each.mesh.name for each in objects if each.receives and bool(each.two_sided.any())]
     if both:
         notes.append(f"{', '.join(both)}: texels are of one side, the other is black")
@@ -186,7 +187,8 @@ class _Samples:
             self.positions,
             self.normals,
             albedo=_narrow(self.albedo),
-            **({} if glosses is None else {"gloss": glosses, "specular": _narrow(self.specular)}),
+            gloss=glosses,
+            specular=1.0 if glosses is None else _narrow(self.specular),
             tangents=self.tangents,
         )
 

@@ -3,4 +3,4 @@
 from .mirrors import REFLECTIONS, Mirrors, Reflected, follow
 from .tracer import OFFSET, Hits, Spot, Tracer, starts
 
-__all__ = ["OFFSET", "REFLECTIONS", "Hits", "Mirrors", "Reflected", "Spot", "Tracer", "starts", "follow"]
+__all__ = ["OFFSET", "REFLECTIONS", "Hits", "Mirrors", "Reflected", "Spot", "Tracer", "follow", "starts"]

@@ -195,7 +195,7 @@ class Tracer:
     @staticmethod
     def _rays(origins: Tensor, frames: Tensor, directions: Tensor) -> tuple[np.ndarray, np.ndarray]:
         """`[v * D, 3]` origins and directions, the rays of one point together (better for the caches of Embree)."""
-        count, rays = len(origins), len(directions)
+        rays = len(directions)
         start = starts(origins, rays).reshape(-1, 3)
         # Components first: three products that stream; embreex reads any strides.
         world = torch.mm(frames.transpose(1, 2).transpose(0, 1).reshape(-1, 3), directions.T).view(3, -1)

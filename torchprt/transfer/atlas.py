@@ -23,14 +23,15 @@ class Atlas(Receivers):
       (row, column) is centred at u = (column + .5) / columns, v = (row + .5) / rows, v down, as glTF has it.
     - `positions`, `normals [V, 3]`: where on the surface they record, in the mean of their samples.
     - `chart [V]`: which chart each is of. No texel is of two.
-    - `mesh_positions`, `mesh_normals [P, 3]`, `mesh_faces [F, 3]`: the meshes, one after the other; `mesh_uv [F, 3, 2]`:
-      where the corners of their faces are on the map, NaN for a face without texture coordinates.
+    - `mesh_positions`, `mesh_normals [P, 3]`, `mesh_faces [F, 3]`: the meshes, one after the other;
+      `mesh_uv [F, 3, 2]`: where the corners of their faces are on the map, NaN for a face that is not on it.
     - `gutter [E]`: texels around the charts that no chart covers and a filter reads beside them, ascending; what is
       there is the sum of `gutter_weights [E, 4]` times the receivers `gutter_sources [E, 4]`: the surface beyond a seam
       where it goes on smoothly, else what is nearest in the same chart.
     - `sight [V]`: as in `Vertices`; None if all are valid.
-    - `objects`: what they are of, a dictionary each: `name` of the mesh, `role`, and its `vertices` and `faces`, [first,
-      one past the last], among those of the meshes.
+    - `notes`: how the map was laid out, and what was mended, in sentences.
+    - `objects`: what they are of, a dictionary each: `name` of the mesh, `role`, and its `vertices` and `faces`,
+      [first, one past the last], among those of the meshes.
 
     `faces` are two triangles between every four neighbours of a chart: what is near what along the surface. To draw, or
     to read values at places of the surface: `surface` and `at`; as a picture: `image`.
@@ -68,6 +69,7 @@ class Atlas(Receivers):
     gutter_weights: Tensor
     sight: Tensor | None = None
     objects: Sequence[dict[str, Any]] = field(default_factory=list)
+    notes: Sequence[str] = ()
     faces: Any = None
 
     def __post_init__(self) -> None:
@@ -82,7 +84,7 @@ class Atlas(Receivers):
         self.faces = _outward(faces, self.positions, self.normals)
 
     def metadata(self) -> dict[str, Any]:
-        return {"rows": self.rows, "columns": self.columns, "objects": list(self.objects)}
+        return {"rows": self.rows, "columns": self.columns, "objects": list(self.objects), "notes": list(self.notes)}
 
     def as_atlas(self) -> Atlas:
         return self

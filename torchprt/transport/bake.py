@@ -135,7 +135,9 @@ def bake(
         if receivers is not None:
             raise InputError("receivers and a lightmap are both given: leave one of the two out")
         if shadows and lightmap.samples > rays:
-            raise InputError(f"{rays} rays a texel cannot start from {lightmap.samples} samples: give more, or fewer samples")
+            raise InputError(
+                f"{rays} rays a texel cannot start from {lightmap.samples} samples: give more, or fewer samples"
+            )
         texels = lightmapped(scene, geometry, lightmap, numbers(scene, order, bounces, output_order))
         geometry = texels.geometry
     membranes = sheets(geometry)

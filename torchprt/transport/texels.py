@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from torch import Tensor
 
 from torchprt.memory import check_memory
@@ -44,9 +45,12 @@ class TexelSurfaces(Surfaces):
     def senders(
         self, triangle: Int[Tensor, "E"], u: Float[Tensor, "E"], v: Float[Tensor, "E"], front: Bool[Tensor, "E"]
     ) -> tuple[Int[Tensor, "E 1"], Float[Tensor, "E 1"]]:
-        assert self.receiver is not None and self.uv is not None
+        assert self.receiver is not None
+        assert self.uv is not None
         corners = self.uv[triangle]
-        place = corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
+        place = (
+            corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
+        )
         rows, columns = self.receiver.shape
         column = place[:, 0].nan_to_num(0).floor().clamp(0, columns - 1).long()
         row = place[:, 1].nan_to_num(0).floor().clamp(0, rows - 1).long()
@@ -122,9 +126,10 @@ class Lightmapped:
             gutter_weights=torch.from_numpy(found.weights).float(),
             sight=sight,
             objects=self._objects(shown),
+            notes=samples.notes,
         )
 
-    def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, object]]:
+    def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, Any]]:
         scene = self.scene
         before = [0, *shown.long().cumsum(0).tolist()]
         of_face = scene.face_object
@@ -148,7 +153,9 @@ def lightmapped(scene: Scene, geometry: Geometry, lightmap: Lightmap, numbers: i
     check_memory(_MAP * lightmap.samples * size, what, instead)
     samples = texel_samples(scene, geometry, lightmap)
     count = len(samples.raster.texel)
-    check_memory(count * (4 * numbers + _TEXEL + _SAMPLE * lightmap.samples), f"{what}, {count} of them covered,", instead)
+    check_memory(
+        count * (4 * numbers + _TEXEL + _SAMPLE * lightmap.samples), f"{what}, {count} of them covered,", instead
+    )
     return Lightmapped(samples, geometry, among(samples.points, geometry))
 
 
@@ -208,7 +215,7 @@ def _views(
     return odd, near
 
 
-def _links(samples: TexelSamples) -> coo_matrix:
+def _links(samples: TexelSamples) -> csr_matrix:
     """Which texels of one chart lie beside each other on the map."""
     rows, columns = samples.lightmap.rows, samples.lightmap.columns
     texel, chart = samples.raster.texel, samples.chart.numpy()
