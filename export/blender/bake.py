@@ -1,9 +1,9 @@
 """Bakes and lights a .blend without a window, as the add-on does.
 
-    blender -b scene.blend -P bake.py -- --objects Room Chair --texels 1024 --light env.exr --save lit.blend --render lit.png
+    blender -b scene.blend -P bake.py -- --texels 1024 --light env.exr --save lit.blend --render lit.png
 
-Where Python has the package bpy: python bake.py -- --open scene.blend and the rest. Needs `torchprt_blender.py` beside it and
-the command `torchprt` on the path (or --command, or TORCHPRT_COMMAND).
+Where Python has the package bpy: python bake.py -- --open scene.blend and the rest. Needs `torchprt_blender.py` beside
+it and the command `torchprt` on the path (or --command, or TORCHPRT_COMMAND).
 """
 
 import argparse
@@ -34,6 +34,7 @@ def asked(words):
     parser.add_argument("--order", type=int, default=5)
     parser.add_argument("--rays", type=int, default=1024)
     parser.add_argument("--bounces", default="auto")
+    parser.add_argument("--white", action="store_true", help="without base colour, which the materials multiply with")
     parser.add_argument("--gloss", action="store_true", help="of the materials, seen from the camera of the scene")
     parser.add_argument("--folder", default="//torchprt", help="where bakes are kept; // is beside the .blend")
     parser.add_argument("--command", help="of torchprt")
@@ -64,7 +65,7 @@ def main(words):
     context = bpy.context
     settings = context.scene.torchprt
     settings.order, settings.rays, settings.bounces = options.order, options.rays, options.bounces
-    settings.gloss, settings.folder = options.gloss, options.folder
+    settings.gloss, settings.white, settings.folder = options.gloss, options.white, options.folder
     select(options.objects)
     if options.texels:
         settings.where, settings.size, settings.uv = "TEXELS", options.texels, options.uv

@@ -1,7 +1,7 @@
 """torchprt in Blender: bake the selected objects once, light them as often as you like.
 
-An add-on of one file for Blender 4.2 to 5.0: Edit > Preferences > Add-ons > Install from Disk, then the tab "torchprt" of
-the sidebar (N) of the 3D view. It calls the command `torchprt`, so Blender's Python needs neither torch nor pip.
+An add-on of one file for Blender 4.2 to 5.0: Edit > Preferences > Add-ons > Install from Disk, then the tab "torchprt"
+of the sidebar (N) of the 3D view. It calls the command `torchprt`, so Blender's Python needs neither torch nor pip.
 
 Blender's z is up, that of torchprt (and glTF) is y: (x, y, z) of Blender is (x, z, -y) there.
 docs/blender.md says what one sees, `bake.py` beside this file does the same without a window.
@@ -146,6 +146,10 @@ def _read(collection, name, dtype, width=None):
 # --- Materials: base colour or its picture, metallic, roughness.
 
 
+BASES = ("BSDF_PRINCIPLED", "BSDF_DIFFUSE")
+"""Nodes whose first socket is a base colour."""
+
+
 def material_of(material, notes):
     """What torchprt takes of a material: its name, colour, picture and UV map of that, metallic, roughness, sides."""
     found = {"name": "none", "colour": (0.8, 0.8, 0.8), "metallic": 0.0, "roughness": 0.5, "two_sided": True}
@@ -155,16 +159,15 @@ def material_of(material, notes):
     found |= {"name": material.name, "two_sided": not material.use_backface_culling}
     found["colour"] = tuple(material.diffuse_color[:3])
     nodes = material.node_tree.nodes if material.node_tree else ()
-    shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED"), None)
-    diffuse = shader or next((node for node in nodes if node.type == "BSDF_DIFFUSE"), None)
+    diffuse = next((node for kind in BASES for node in nodes if node.type == kind), None)
     if diffuse is None:
         notes.append(f"Material {material.name} has no Principled or Diffuse BSDF: its viewport colour is taken.")
         return found
-    if shader is not None:
+    if diffuse.type == "BSDF_PRINCIPLED":
         for name in ("Metallic", "Roughness"):
-            if shader.inputs[name].is_linked:
+            if diffuse.inputs[name].is_linked:
                 notes.append(f"Material {material.name} has nodes for {name}: the number of its socket is taken.")
-            found[name.lower()] = shader.inputs[name].default_value
+            found[name.lower()] = diffuse.inputs[name].default_value
     socket = diffuse.inputs[0]
     if not socket.is_linked:
         found["colour"] = tuple(socket.default_value[:3])
@@ -175,8 +178,8 @@ def material_of(material, notes):
         found["uv"] = node.inputs[0].links[0].from_node.uv_map if _has_uv_map(node) else None
     else:
         notes.append(
-            f"Material {material.name} has a base colour of nodes that are no image on a UV map: its viewport colour is "
-            "taken."
+            f"Material {material.name} has a base colour of nodes that are no image on a UV map: its viewport colour "
+            "is taken."
         )
     return found
 
@@ -388,9 +391,11 @@ def bake_words(settings, folder, others):
     return words
 
 
-def shade_words(folder, environment, yaw, output, eye=None):
+def shade_words(folder, environment, yaw, output, white=False, eye=None):
     """What follows `torchprt` to light a bake; the yaw is about the axis that is up, counter-clockwise from above."""
     words = ["shade", str(folder / "bake.safetensors"), "--light", str(environment), "--rotate", f"{yaw:g}"]
+    if white:
+        words.append("--white")
     if eye is not None:
         words += ["--eye", ",".join(f"{each:.9g}" for each in eye)]
     return [*words, "-o", str(output)]
@@ -646,12 +651,13 @@ def prepare_light(context, light, about, seen):
         if not light.path or not environment.is_file():
             raise Fault(f"Light {light.name} has no file '{light.path}': choose an .exr or .hdr")
     eye = None
-    if about["gloss"]:
+    if about["gloss"] and not context.scene.torchprt.white:
         if context.scene.camera is None:
             raise Fault("Gloss looks different from everywhere, and the scene has no camera: add one")
         eye = y_up(np.array(context.scene.camera.matrix_world)[:3, 3])
     output = folder / (bpy.path.clean_name(light.name) + (".exr" if about["where"] == "TEXELS" else ".npy"))
-    words = shade_words(folder, environment, yaw + math.degrees(light.rotation), output, eye)
+    white = context.scene.torchprt.white
+    words = shade_words(folder, environment, yaw + math.degrees(light.rotation), output, white, eye)
     return [*command_line(command_text(context)), *words], output
 
 
@@ -728,29 +734,57 @@ def original_of(obj):
     return bpy.data.objects.get(obj.get("torchprt_of", ""), obj)
 
 
-def lit_material(light, uv):
-    """A material that shows what came back: as it is, without any light of the scene."""
+def lit_material(light, uv, own):
+    """A material that shows what came back without any light of the scene: as it is, or on the base colour of `own`."""
     name = PREFIX + light.name
-    material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
+    title = name if own is None else f"{name} on {own.name}"
+    material = bpy.data.materials.get(title)
+    if material is not None:
+        material.user_remap(None)
+        bpy.data.materials.remove(material)
+    material = bpy.data.materials.new(title) if own is None else own.copy()
+    material.name = title
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    output, emission = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeEmission")
-    output.location, emission.location = (300, 0), (100, 0)
-    tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    if own is None:
+        nodes.clear()
+    colour = _base_colour(own, nodes)
+    for node in [node for node in nodes if node.type == "OUTPUT_MATERIAL"]:
+        nodes.remove(node)
+    output, emission = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeEmission")
     if uv:
-        source, place = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeUVMap")
+        source, place = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeUVMap")
         source.image, place.uv_map = bpy.data.images[name], uv
         source.extension = "EXTEND"
-        tree.links.new(place.outputs[0], source.inputs[0])
-        place.location = (-400, 0)
+        links.new(place.outputs[0], source.inputs[0])
+        place.location = (-400, 500)
     else:
-        source = tree.nodes.new("ShaderNodeVertexColor")
+        source = nodes.new("ShaderNodeVertexColor")
         source.layer_name = name
-    source.location = (-200, 0)
-    tree.links.new(source.outputs["Color"], emission.inputs["Color"])
+    product = nodes.new("ShaderNodeVectorMath")
+    product.operation = "MULTIPLY"
+    links.new(source.outputs["Color"], product.inputs[0])
+    if isinstance(colour, tuple):
+        product.inputs[1].default_value = colour
+    else:
+        links.new(colour, product.inputs[1])
+    links.new(product.outputs[0], emission.inputs["Color"])
+    links.new(emission.outputs[0], output.inputs["Surface"])
+    for x, node in ((-200, source), (100, product), (300, emission), (500, output)):
+        node.location = (x, 500)
     return material
+
+
+def _base_colour(own, nodes):
+    """What light is multiplied with: a socket of the nodes, or a number each channel."""
+    if own is None:
+        return 1.0, 1.0, 1.0
+    diffuse = next((node for kind in BASES for node in nodes if node.type == kind), None)
+    if diffuse is None:
+        return tuple(own.diffuse_color[:3])
+    socket = diffuse.inputs[0]
+    return socket.links[0].from_socket if socket.is_linked else tuple(socket.default_value[:3])
 
 
 def show(context, light):
@@ -761,11 +795,16 @@ def show(context, light):
     seen = [copy_of(context, obj) or obj for obj in objects]
     if name not in bpy.data.images if uv else any(name not in each.data.color_attributes for each in seen):
         raise Fault(f"{light.name} has brought nothing back yet: press Light")
-    material = lit_material(light, uv)
+    white = context.scene.torchprt.white
+    made = {None: lit_material(light, uv, None)}
     for obj in objects:
         copy = None if uv else copy_of(context, obj)
+        own = _own_materials(obj) or [None]
+        for each in own if white else ():
+            if each not in made:
+                made[each] = lit_material(light, uv, each)
         for each in [obj] if copy is None else [obj, copy]:
-            _dress(each, material)
+            _dress(each, [made[each if white else None] for each in own])
         if copy is not None:
             copy.hide_set(False)
             copy.hide_render = False
@@ -773,7 +812,7 @@ def show(context, light):
             obj.hide_render = True
 
 
-def _dress(obj, material):
+def _dress(obj, materials):
     if not obj.material_slots:
         obj.data.materials.append(None)
     if "torchprt_own" not in obj:
@@ -781,7 +820,7 @@ def _dress(obj, material):
         obj["torchprt_own"] = json.dumps(
             [[slot.link, name] for slot, name in zip(obj.material_slots, kept, strict=True)]
         )
-    for slot in obj.material_slots:
+    for slot, material in zip(obj.material_slots, materials, strict=True):
         slot.link = "OBJECT"
         slot.material = material
 
@@ -851,6 +890,12 @@ def make_uvs(context):
 # --- What is seen: settings, operators, panel.
 
 
+# Newer Blenders want to be told that a path may begin with //.
+_PLACED = {"ANIMATABLE"}
+if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties:
+    _PLACED |= {"PATH_SUPPORTS_BLEND_RELATIVE"}
+
+
 class TorchprtLight(bpy.types.PropertyGroup):
     source: bpy.props.EnumProperty(
         name="From",
@@ -859,7 +904,7 @@ class TorchprtLight(bpy.types.PropertyGroup):
             ("FILE", "File", "An .exr or .hdr of an environment, placed as Blender's Environment Texture places it"),
         ],
     )
-    path: bpy.props.StringProperty(name="File", subtype="FILE_PATH")
+    path: bpy.props.StringProperty(name="File", subtype="FILE_PATH", options=_PLACED)
     rotation: bpy.props.FloatProperty(
         name="Rotation", subtype="ANGLE", description="Turns the light about z, counter-clockwise seen from above"
     )
@@ -883,11 +928,16 @@ class TorchprtSettings(bpy.types.PropertyGroup):
         name="Bounces",
         items=[("auto", "Auto", "Until one adds less than 1 %"), *((str(n), str(n), "") for n in range(9))],
     )
+    white: bpy.props.BoolProperty(
+        name="Without base colour",
+        description="What arrives and not what leaves; the materials that show it multiply it with their base colour, "
+        "so that fine textures stay fine",
+    )
     gloss: bpy.props.BoolProperty(name="Gloss", description="Of the materials, seen from the camera of the scene")
     others: bpy.props.BoolProperty(
         name="Others cast shadows", default=True, description="Visible objects that are not selected"
     )
-    folder: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", default="//torchprt")
+    folder: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", default="//torchprt", options=_PLACED)
     lights: bpy.props.CollectionProperty(type=TorchprtLight)
     light: bpy.props.IntProperty()
 
@@ -1178,6 +1228,7 @@ class TORCHPRT_PT_panel(bpy.types.Panel):
             if light.source == "FILE":
                 column.prop(light, "path")
             column.prop(light, "rotation")
+        layout.column().prop(settings, "white")
         layout.operator("torchprt.light", icon="LIGHT_SUN")
         row = layout.row(align=True)
         row.operator("torchprt.show")
