@@ -63,7 +63,7 @@ def test_weights_lead_back_to_the_places_of_the_samples() -> None:
     places = (found.weights[..., None] * uv[found.face]).sum(2) * 16
     corner = np.stack([found.texel % 16, found.texel // 16], -1)[:, None]
     regular = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
-    assert np.abs(places - corner - regular)[found.own].max() < 1e-9
+    assert np.abs(places - corner - regular)[found.own].max() < 1e-5, "of float32 weights"
     # The others stand for some of the same texel.
     assert np.abs(places - corner - 0.5).max() < 0.72
 

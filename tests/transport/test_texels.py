@@ -36,12 +36,16 @@ def vectors(transfer: Transfer) -> torch.Tensor:
         ({"samples": 5}, "square number"),
         ({"gutter": -1}, "gutter is -1"),
         ({"uv": -1}, "uv is -1"),
-        ({"uv": "chart"}, "'unwrap'"),
     ],
 )
 def test_what_no_map_has_is_refused(given: dict[str, Any], match: str) -> None:
     with pytest.raises(InputError, match=match):
         Lightmap(**given)
+
+
+def test_a_word_that_is_no_set_is_refused(untyped: None) -> None:
+    with pytest.raises(InputError, match="'unwrap'"):
+        Lightmap(uv="chart")  # type: ignore[arg-type]
 
 
 def test_what_does_not_go_together_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,7 +100,7 @@ def details(transfer: Transfer) -> list[str]:
         tiles = "tiles" if place["tiles_u"] and place["tiles_v"] else "a single patch"
         lines = [f"map of {place['rows']} x {place['columns']} texels, {tiles}"]
     if "gutter" in transfer.receivers.tensors():
-        lines = _atlas(transfer.receivers.as_atlas())
+        lines += _atlas(transfer.receivers.as_atlas())
     if not transfer.receivers.on_surface:
         lines = _volume(transfer.receivers.as_cells())
     elif "spacing" in place:

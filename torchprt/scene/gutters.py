@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,9 +44,9 @@ def gutters(
     number = number.reshape(rows, columns)
     if not width or not len(texel):
         return Gutters(np.zeros(0, int), np.zeros((0, 4), int), np.zeros((0, 4)))
-    away, near = distance_transform_edt(number < 0, return_indices=True)
-    cell = np.flatnonzero((number < 0) & (away <= width))
-    nearest = number[near[0].ravel()[cell], near[1].ravel()[cell]]
+    transform: Any = distance_transform_edt(number < 0, return_indices=True)
+    cell = np.flatnonzero((number < 0) & (transform[0] <= width))
+    nearest = number[tuple(axis.ravel()[cell] for axis in transform[1])]
     sources = np.repeat(nearest[:, None], 4, axis=1)
     weights = np.tile([1.0, 0.0, 0.0, 0.0], (len(cell), 1))
     at, place, there = _unfolded(cell, chart[nearest], rows, columns, beyond, chart_of_face)

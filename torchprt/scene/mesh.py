@@ -1,8 +1,10 @@
 """A mesh as everything above this room sees it: torch tensors, checked."""
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -39,6 +41,23 @@ class Mesh:
     says one; None if that is everywhere, or if the file has no texture coordinates."""
     uv: Float64[Tensor, "F 3 2"] | None = None
     """Texture coordinates of every corner of every face; NaN where there are none, None if that is everywhere."""
+    more_uv: Mapping[int, Float64[Tensor, "F 3 2"]] = field(default_factory=dict)
+    """Further sets of them by their number, from 1."""
+    v_up: bool = False
+    """Whether v goes up from the lower edge of a picture, as in .obj, .ply and .usd; else down from the upper."""
+
+    @property
+    def uv_sets(self) -> list[int]:
+        """The numbers of its sets of texture coordinates."""
+        return sorted([*([] if self.uv is None else [0]), *self.more_uv])
+
+    def uv_set(self, number: int) -> Float64[Tensor, "F 3 2"]:
+        """A set of texture coordinates, v down whatever the file had. Raises InputError if there is none of that."""
+        found = self.uv if number == 0 else self.more_uv.get(number)
+        if found is None:
+            known = ", ".join(map(str, self.uv_sets)) or "none"
+            raise InputError(f"{self.name} has no set {number} of texture coordinates, it has {known}: use --uv unwrap")
+        return torch.stack([found[..., 0], 1 - found[..., 1]], -1) if self.v_up else found
 
     @cached_property
     def tangent_field(self) -> Float64[Tensor, "V 3"]:
@@ -61,6 +80,8 @@ def make_mesh(
     name: str | os.PathLike[str] = "mesh",
     uv: Shaped[Array, "..."] | None = None,
     tangents: Shaped[Array, "turned 3"] | None = None,
+    more_uv: Mapping[int, Shaped[Array, "..."]] = MappingProxyType({}),
+    v_up: bool = False,
 ) -> Mesh:
     """A mesh of given triangles (numpy arrays or tensors of any real dtype), checked.
 
@@ -70,7 +91,7 @@ def make_mesh(
     `uv` are texture coordinates, [V, 2] or, a pair for every corner of every face, [F, 3, 2]; rows that are not
     finite are missing. They give the tangents, the directions of increasing u. Given `tangents` come first where they
     are usable. Only the direction of the tangent is taken: where texture coordinates are mirrored, the bitangent is
-    still normal x tangent.
+    still normal x tangent. `more_uv` are further sets of them, by their number from 1; `v_up`: whether v goes up.
 
     Raises InputError, naming `name`, if there are no faces, if a position is not finite, if all positions are zero,
     if a face names a vertex that does not exist, if no face has area, or if something has not a row for every vertex.
@@ -103,6 +124,10 @@ def make_mesh(
         report=report,
         tangents=torch.from_numpy(directions) if usable and directions is not None else None,
         uv=None if pairs is None or not np.isfinite(pairs).any() else torch.from_numpy(pairs),
+        more_uv={
+            number: torch.from_numpy(_corner_uv(each, points, triangles, name)) for number, each in more_uv.items()
+        },
+        v_up=v_up,
     )
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from .seams import Seams
 
 # Samples that are looked at together.
-BLOCK = 1 << 22
+BLOCK = 1 << 20
 # In texels: what is covered by less is not covered, and what overlaps by less does not overlap.
 SLACK = 1e-4
 # How far a point on the border of a chart is moved toward the middle of its face, as a share of the way.
@@ -90,13 +90,14 @@ def rasterise(
     corners = np.where(known[:, None, None], uv, 0.0) * [columns, rows]
     cover, twice = _covers(corners * across, known, rows * across, columns * across, across)
     texel, face, slot, own = _texels(cover, chart, across)
-    weights = _weights(corners, face, _places(texel, slot, columns, across))
+    del cover
+    weights = _weights(corners, texel, face, slot, columns, across)
     more, nearest, near_weights = _touched(corners, known, rows, columns, texel)
-    repeated = np.repeat(nearest[:, None], across**2, axis=1)
+    repeated = np.repeat(nearest[:, None].astype(np.int32), across**2, axis=1)
     texel = np.concatenate([texel, more])
     order = np.argsort(texel, kind="stable")
     face = np.concatenate([face, repeated])[order]
-    weights = np.concatenate([weights, np.repeat(near_weights[:, None], across**2, axis=1)])[order]
+    weights = np.concatenate([weights, np.repeat(near_weights[:, None].astype(np.float32), across**2, axis=1)])[order]
     lost = known.copy()
     lost[face.ravel()] = False
     own = np.concatenate([own, np.zeros((len(more), across**2), bool)])[order]
@@ -194,20 +195,32 @@ def _texels(
     cover: Int[np.ndarray, "rows columns"], chart: Int[np.ndarray, "F"], across: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Texels with a sample in a face, ascending: of each the faces and places (numbers within the texel) of S samples,
-    and which of them are its own."""
+    and which of them are its own. A strip of rows at a time."""
     rows, columns = cover.shape[0] // across, cover.shape[1] // across
-    blocks = cover.reshape(rows, across, columns, across)
-    texel = np.flatnonzero((blocks >= 0).any(axis=(1, 3)))
-    samples = blocks.transpose(0, 2, 1, 3).reshape(rows * columns, across**2)[texel]
-    number = np.where(samples >= 0, chart[samples], -1)
-    votes = sum((number == number[:, [at]]).astype(np.int8) for at in range(across**2))
-    votes = np.where(number >= 0, votes, 0)
-    most = votes.max(axis=1, keepdims=True, initial=0)
-    # Of charts with as many samples the first.
-    winner = np.where(votes == most, number, np.iinfo(number.dtype).max).min(axis=1, keepdims=True, initial=2**31 - 1)
-    own = number == winner
-    slot = instead(own)
-    return texel, np.take_along_axis(samples, slot, axis=1), slot, own
+    strip = max(1, BLOCK // (columns * across**2))
+    parts = []
+    for first in range(0, rows, strip):
+        some = cover[first * across : (first + strip) * across].reshape(-1, across, columns, across)
+        samples = some.transpose(0, 2, 1, 3).reshape(-1, across**2)
+        texel = np.flatnonzero((samples >= 0).any(axis=1))
+        samples = samples[texel]
+        number = np.where(samples >= 0, chart[samples], -1)
+        own = number == _winner(number)[:, None]
+        slot = instead(own)
+        parts.append((texel + first * columns, np.take_along_axis(samples, slot, axis=1), slot.astype(np.int8), own))
+    none = np.zeros(0, np.int64), np.zeros((0, across**2), np.int32), np.zeros((0, across**2), np.int8)
+    joined = zip(*[(*none, np.zeros((0, across**2), bool)), *parts], strict=True)
+    texel, face, slot, own = (np.concatenate(part) for part in joined)
+    return texel, face, slot, own
+
+
+def _winner(number: Int[np.ndarray, "V S"]) -> Int[np.ndarray, "V"]:
+    """The chart that most samples of each texel are of, of several the first; -1 is none."""
+    votes = np.stack([(number == each[:, None]).sum(axis=1, dtype=np.int16) for each in number.T], axis=1)
+    votes[number < 0] = 0
+    most = votes == votes.max(axis=1, keepdims=True, initial=0)
+    result: np.ndarray = np.where(most, number, np.iinfo(number.dtype).max).min(axis=1, initial=2**31 - 1)
+    return result
 
 
 def instead(own: Bool[np.ndarray, "V S"]) -> Int[np.ndarray, "V S"]:
@@ -218,23 +231,21 @@ def instead(own: Bool[np.ndarray, "V S"]) -> Int[np.ndarray, "V S"]:
     return np.where(own, place, others)
 
 
-def _places(
-    texel: Int[np.ndarray, "V"], slot: Int[np.ndarray, "V S"], columns: int, across: int
-) -> Float[np.ndarray, "V S 2"]:
-    """Where samples are on the map, in texels."""
-    x = (texel % columns)[:, None] + (slot % across + 0.5) / across
-    y = (texel // columns)[:, None] + (slot // across + 0.5) / across
-    return np.stack([x, y], axis=-1)
-
-
 def _weights(
-    corners: Float[np.ndarray, "F 3 2"], face: Int[np.ndarray, "V S"], places: Float[np.ndarray, "V S 2"]
+    corners: Float[np.ndarray, "F 3 2"],
+    texel: Int[np.ndarray, "V"],
+    face: Int[np.ndarray, "V S"],
+    slot: Int[np.ndarray, "V S"],
+    columns: int,
+    across: int,
 ) -> Float[np.ndarray, "V S 3"]:
-    """Weights of the corners of faces at places in them."""
-    result = np.empty((*face.shape, 3))
-    for some in np.array_split(np.arange(len(face)), len(face) // (1 << 18) + 1):
+    """Weights of the corners of faces at the samples in them."""
+    result = np.empty((*face.shape, 3), np.float32)
+    for some in np.array_split(np.arange(len(face)), face.size // BLOCK + 1):
+        x = (texel[some] % columns)[:, None] + (slot[some] % across + 0.5) / across
+        y = (texel[some] // columns)[:, None] + (slot[some] // across + 0.5) / across
+        p = np.stack([x, y], axis=-1)
         a, b, c = np.moveaxis(corners[face[some]], -2, 0)
-        p = places[some]
         parts = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1)
         # Rounding leaves a sample on an edge a little outside.
         parts = np.maximum(parts * np.sign(parts.sum(-1, keepdims=True)), 0)

@@ -99,7 +99,17 @@ def read_raw(path: str | os.PathLike[str]) -> tuple[Mesh, Raw]:
             f"{source} is damaged, cut short or not a {source.suffix.lower()} file of triangles "
             f"({_reason(fault)}): export the mesh again"
         ) from fault
-    mesh = make_mesh(raw.positions, raw.faces, raw.normals, raw.colours, source, raw.uv, raw.tangents)
+    mesh = make_mesh(
+        raw.positions,
+        raw.faces,
+        raw.normals,
+        raw.colours,
+        source,
+        raw.uv,
+        raw.tangents,
+        raw.more_uv,
+        v_up=source.suffix.lower() not in (".glb", ".gltf"),
+    )
     return replace(mesh, report=replace(mesh.report, notes=raw.notes)), raw
 
 

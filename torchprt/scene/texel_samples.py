@@ -155,6 +155,9 @@ class _Samples:
     def _fill(self, object: Object, rows: Tensor, face: Tensor, weights: Tensor) -> None:
         """The texels `rows` of one object: `face [v, S]` of its own, `weights [v, S, 3]` of their corners."""
         mesh, shape = object.mesh, face.shape
+        # They must sum to 1 exactly, or a mesh far from the origin leaves its own planes.
+        second, third = weights[..., 1].double(), weights[..., 2].double()
+        weights = torch.stack([1 - second - third, second, third], -1)
         corners = mesh.positions[mesh.faces[face]]
         places = (corners * weights[..., None]).sum(-2)
         flat, shares = face.flatten(), weights.flatten(0, 1)
