@@ -60,8 +60,6 @@ def main(words):
         os.environ["TORCHPRT_COMMAND"] = options.command
     if options.open:
         bpy.ops.wm.open_mainfile(filepath=options.open)
-    if not hasattr(bpy.types.Scene, "torchprt"):
-        addon.register()
     context = bpy.context
     settings = context.scene.torchprt
     settings.order, settings.rays, settings.bounces = options.order, options.rays, options.bounces
@@ -92,9 +90,16 @@ def main(words):
 
 if __name__ == "__main__":
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+    fresh = not hasattr(bpy.types.Scene, "torchprt")
     try:
+        if fresh:
+            addon.register()
         main(given)
     except addon.Fault as fault:
         print(f"bake.py: {fault}", file=sys.stderr)
         # Blender ends well after a script that failed, unless it is told.
         sys.exit(2)
+    finally:
+        # Blender may crash at its end with classes that are still there.
+        if fresh:
+            addon.unregister()

@@ -614,7 +614,7 @@ def world_image(context, path, height=256):
         camera.type = "PANO"
         (camera if hasattr(camera, "panorama_type") else camera.cycles).panorama_type = "EQUIRECTANGULAR"
         scene.render.engine = "CYCLES"
-        scene.cycles.samples = 64
+        scene.cycles.samples = 16
         scene.cycles.use_adaptive_sampling = False
         scene.cycles.use_denoising = False
         scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
