@@ -329,10 +329,11 @@ def _uv_names(evaluated, slots, settings):
     textured = any(each["image"] is not None for each in slots.values())
     if not textured and not last:
         return {-1: []}
-    names = {
-        number: [each["uv"] or shown if each["image"] is not None else "", *last] for number, each in slots.items()
-    }
-    return names | {-1: ["", *last]}
+    # Where there is no picture, the first set is that of the map too: glTF has no second without a first.
+    bare = [settings.uv if last else "", *last]
+    return {
+        number: [each["uv"] or shown, *last] if each["image"] is not None else bare for number, each in slots.items()
+    } | {-1: bare}
 
 
 def _pictures(materials):
@@ -419,6 +420,7 @@ class Process:
                 encoding="utf-8",
                 errors="replace",
                 env=environment,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             )
         except OSError as fault:
             raise Fault(
@@ -435,8 +437,9 @@ class Process:
         self.said, self.complained = [], []
 
     def _listen(self, stream, name):
-        for line in stream:
-            self._lines.put((name, line.rstrip()))
+        with stream:
+            for line in stream:
+                self._lines.put((name, line.rstrip()))
 
     def poll(self):
         """Reads what was told; True when it has ended."""
@@ -734,22 +737,25 @@ def original_of(obj):
     return bpy.data.objects.get(obj.get("torchprt_of", ""), obj)
 
 
-def lit_material(light, uv, own):
-    """A material that shows what came back without any light of the scene: as it is, or on the base colour of `own`."""
+def lit_material(light, uv, own, bare=(1.0, 1.0, 1.0)):
+    """A material that shows what came back without any light of the scene: as it is, or on the base colour of `own`.
+
+    `bare`: what it is multiplied with where there is no `own`.
+    """
     name = PREFIX + light.name
     title = name if own is None else f"{name} on {own.name}"
-    material = bpy.data.materials.get(title)
-    if material is not None:
-        material.user_remap(None)
-        bpy.data.materials.remove(material)
+    old = bpy.data.materials.get(title)
     material = bpy.data.materials.new(title) if own is None else own.copy()
+    if old is not None:
+        old.user_remap(material)
+        bpy.data.materials.remove(old)
     material.name = title
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     if own is None:
         nodes.clear()
-    colour = _base_colour(own, nodes)
+    colour = bare if own is None else _base_colour(own, nodes)
     for node in [node for node in nodes if node.type == "OUTPUT_MATERIAL"]:
         nodes.remove(node)
     output, emission = nodes.new("ShaderNodeOutputMaterial"), nodes.new("ShaderNodeEmission")
@@ -778,8 +784,6 @@ def lit_material(light, uv, own):
 
 def _base_colour(own, nodes):
     """What light is multiplied with: a socket of the nodes, or a number each channel."""
-    if own is None:
-        return 1.0, 1.0, 1.0
     diffuse = next((node for kind in BASES for node in nodes if node.type == kind), None)
     if diffuse is None:
         return tuple(own.diffuse_color[:3])
@@ -796,7 +800,7 @@ def show(context, light):
     if name not in bpy.data.images if uv else any(name not in each.data.color_attributes for each in seen):
         raise Fault(f"{light.name} has brought nothing back yet: press Light")
     white = context.scene.torchprt.white
-    made = {None: lit_material(light, uv, None)}
+    made = {None: lit_material(light, uv, None, material_of(None, [])["colour"] if white else (1.0, 1.0, 1.0))}
     for obj in objects:
         copy = None if uv else copy_of(context, obj)
         own = _own_materials(obj) or [None]
@@ -1021,6 +1025,10 @@ def lighting(context):
     """The work of lighting a bake by every light of the list; the chosen one is shown."""
     settings, notes = context.scene.torchprt, []
     chosen = chosen_light(settings)
+    names = [light.name for light in settings.lights]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise Fault(f"Two lights are called {twice}, and so would be what they bring back: rename one")
 
     def steps():
         bake, seen = read_bake(context), set()
