@@ -16,14 +16,16 @@ SIDES = [
 
 
 def cube(texels=6, gutter=2, size=None):
-    """A cube from -1 to 1: six charts of `texels` x `texels` in two rows of three, on a map of `size` (rows, columns)."""
+    """A cube from -1 to 1: six charts of `texels` x `texels` in two rows of three; `size`: rows, columns."""
     cell = texels + 2 * gutter
     rows, columns = size or (2 * cell, 3 * cell)
     positions, normals, texel, chart, gutters, sources = [], [], [], [], [], []
     corners, faces, uv = [], [], []
     for number, (n, u, v) in enumerate(torch.tensor(SIDES, dtype=torch.float32)):
         top, left = gutter + cell * (number // 3), gutter + cell * (number % 3)
-        y, x = torch.meshgrid(torch.arange(-gutter, texels + gutter), torch.arange(-gutter, texels + gutter), indexing="ij")
+        y, x = torch.meshgrid(
+            torch.arange(-gutter, texels + gutter), torch.arange(-gutter, texels + gutter), indexing="ij"
+        )
         inside = ((x >= 0) & (x < texels) & (y >= 0) & (y < texels)).flatten()
         x, y = x.flatten(), y.flatten()
         at = (top + y) * columns + left + x
@@ -70,6 +72,8 @@ def lit_cube(order=3, channels=1, texels=6, gutter=2):
 
     place = cube(texels, gutter)
     vectors = unshadowed(place.normals.double(), order).float()[None].expand(channels, -1, -1).contiguous()
-    albedo = torch.tensor([[0.8, 0.2, 0.1], [0.5, 0.5, 0.5], [0.9, 0.9, 0.9], [0.1, 0.3, 0.2], [0.2, 0.4, 0.8], [0.7] * 3])
+    albedo = torch.tensor(
+        [[0.8, 0.2, 0.1], [0.5, 0.5, 0.5], [0.9, 0.9, 0.9], [0.1, 0.3, 0.2], [0.2, 0.4, 0.8], [0.7] * 3]
+    )
     layer = Diffuse(albedo=albedo[place.chart.long()], signal=Dense(values=vectors))
     return Transfer(receivers=place, layers={"diffuse": layer}, transport="unshadowed")

@@ -77,7 +77,7 @@ def camera_options(
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """What is the same for all lights: the transfer and the file it is of, the picture that is asked for and its camera,
+    """What is the same for all lights: the transfer and the file it is of, the picture that is asked for, its camera,
     `what` is computed, the window against ringing, whether an eye is looked from, and the lamps that stand beside."""
 
     transfer: Transfer

@@ -35,7 +35,9 @@ def shade(
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help=".npy of radiance, .ply or .glb with colours, .png .jpg or .webp; of texels .exr .png."
+            "-o",
+            "--output",
+            help=".npy of radiance, .ply or .glb with colours, .png .jpg or .webp; of texels .exr .png.",
         ),
     ],
     light: asked.Lights = None,

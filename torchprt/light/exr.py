@@ -1,5 +1,6 @@
 """OpenEXR files as arrays of linear RGB."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -57,11 +58,27 @@ def write_exr(path: str | os.PathLike[str], image: Float[np.ndarray, "H W 3"]) -
     # NaN too.
     if not most <= HALF:
         raise InputError(
-            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or use a weaker light"
+            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or take a weaker "
+            "light"
         )
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic(path) as temporary:
-        OpenEXR.File(header, {"RGB": np.ascontiguousarray(image, np.float16)}).write(str(temporary))
+        pixels = np.ascontiguousarray(image, np.float16)
+        OpenEXR.File(header, {"RGB": pixels}).write(str(temporary))
+        # The library does not notice when a disk does not take the last part.
+        if not _holds(temporary, pixels):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _holds(path: Path, pixels: Float[np.ndarray, "H W 3"]) -> bool:
+    """Whether a file can be read, and has these pixels."""
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path)) as file:
+            return np.array_equal(file.channels()["RGB"].pixels, pixels)
+    except (RuntimeError, TypeError, ValueError, KeyError, IndexError):
+        return False
 
 
 def _colour(path: Path, names: list[str]) -> list[str]:

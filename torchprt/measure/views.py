@@ -38,7 +38,9 @@ class Views:
         check_flip()
         size = size or SIZE
         self.cameras = cameras(receivers, eyes, size)
-        self._stills = [Still.of(receivers, size=size, camera=camera, samples=4, mirrors=False) for camera in self.cameras]
+        self._stills = [
+            Still.of(receivers, size=size, camera=camera, samples=4, mirrors=False) for camera in self.cameras
+        ]
         self._exposures = [automatic_exposure(light) for light in lights]
         # What shows the model: the background is never wrong, nor is the black of back faces.
         white = torch.ones(receivers.count, 3)

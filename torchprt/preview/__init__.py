@@ -2,6 +2,7 @@
 
 from .asset_file import AssetWarning
 from .asset_light import keep_light, save_lit_glb
+from .asset_map import save_mapped_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
@@ -66,6 +67,7 @@ __all__ = [
     "save_glb",
     "save_lit_glb",
     "save_map",
+    "save_mapped_glb",
     "save_movie",
     "save_mp4",
     "save_picture",

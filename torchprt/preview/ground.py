@@ -23,7 +23,8 @@ def subject(receivers: Receivers) -> Float[Tensor, "S 3"]:
 
 
 def opacity(receivers: Receivers) -> Float[Tensor, "P"] | None:
-    """How much of every vertex of their surface covers what is behind it: 1 on the model, on a ground falling to 0 at its edge.
+    """How much of every vertex of their surface covers what is behind it: 1 on the model, on a ground down to 0 at its
+    edge.
 
     It falls evenly in the picture of a low camera, in which what is n times as far is n times nearer to the horizon.
     None where there is no ground, or nothing else.

@@ -31,8 +31,8 @@ def save_map(
 ) -> None:
     """Writes values of the texels of an atlas as a map with its gutters, row 0 above; black where there is nothing.
 
-    `.exr` holds them as they are, linear, in half floats (11 bits, up to 65504); `.npy` in float32, `[rows, columns, 3]`;
-    `.png` as pictures are shown, in sRGB of 8 bits, under an `exposure` in stops and a tone map.
+    `.exr` holds them as they are, linear, in half floats (11 bits, up to 65504); `.npy` in float32,
+    `[rows, columns, 3]`; `.png` as pictures are shown, in sRGB of 8 bits, under an `exposure` in stops and a tone map.
     Raises InputError if the receivers are no texels of a map, for another suffix, if a value does not fit into an
     `.exr`, or `path` cannot be written.
     """

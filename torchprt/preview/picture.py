@@ -118,8 +118,8 @@ class Still:
         samples: int = SAMPLES,
         mirrors: bool = True,
     ) -> Still:
-        """Of what `receivers` are drawn on, with their mirrors (or without) and a ground that fades: its pictures are of a radiance
-        for each of them, which is read at every hit where they are not its vertices."""
+        """Of what `receivers` are drawn on, with their mirrors (or without) and a ground that fades: its pictures are
+        of a radiance for each of them, which is read at every hit where they are not its vertices."""
         positions, _, faces = receivers.surface
         made = cls(
             *(positions, faces),

@@ -50,8 +50,8 @@ class Receivers(Part, abc.ABC):
 
     @property
     def surface_uv(self) -> Float[Tensor, "F 3 2"] | None:
-        """Where the corners of the faces of `surface` are on the map of the receivers; None if they are its vertices, and
-        values of theirs are those of its vertices."""
+        """Where the corners of faces of `surface` are on the map of the receivers; None if they are its
+        vertices, and what they have is what these have."""
         return None
 
     def at(
@@ -72,7 +72,7 @@ class Receivers(Part, abc.ABC):
 
     @property
     def subject(self) -> Float[Tensor, "v 3"]:
-        """The places that pictures are about and frame: all of `surface` but the ground, unless there is nothing else."""
+        """The places that pictures are about and frame: all of `surface` but the ground, or that alone."""
         model, positions = ~self.surface_ground(), self.surface[0]
         return positions[model] if bool(model.any()) else positions
 

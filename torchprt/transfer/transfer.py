@@ -169,8 +169,8 @@ class Transfer:
         kept = {name: layer for name, layer in self.layers.items() if "eye" not in layer.needs}
         if not kept:
             raise InputError(
-                f"transfer of kind '{self.kind}' depends on the eye, and has no irradiance: bake the scene with diffuse "
-                "materials for that"
+                f"transfer of kind '{self.kind}' depends on the eye, and has no irradiance: bake the scene with "
+                "diffuse materials for that"
             )
         made = {name: layer.replace(**{layer.weight_name: layer.weight.new_ones(1, 1)}) for name, layer in kept.items()}
         return dataclasses.replace(self, layers=made)

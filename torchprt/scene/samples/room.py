@@ -15,7 +15,8 @@ from ..object import Object
 from ..scene import Scene
 from .grid import grid
 
-Vector = tuple[float, float, float]
+Number = float | int
+Vector = tuple[Number, Number, Number]
 HALF, DEPTH, HEIGHT = 2.3, 2.9, 2.7
 """Half the width and half the depth of the room, and its height, in metres."""
 WALL = 0.22
@@ -23,8 +24,21 @@ WINDOW = (-1.7, 1.1, 0.75, 2.35)
 """From where to where the window reaches along z, and up."""
 
 PLASTER, TEAL, OAK, WHITE = (0.76, 0.74, 0.70), (0.10, 0.30, 0.33), (0.46, 0.27, 0.13), (0.80, 0.80, 0.78)
-WOOL, LINEN, MUSTARD, CLAY, BLACK = (0.58, 0.15, 0.09), (0.60, 0.57, 0.50), (0.66, 0.40, 0.06), (0.55, 0.24, 0.13), (0.05,) * 3
-BOOKS = ((0.42, 0.09, 0.07), (0.08, 0.18, 0.34), (0.62, 0.52, 0.34), (0.11, 0.26, 0.15), (0.70, 0.66, 0.58), (0.50, 0.28, 0.07))
+WOOL, LINEN, MUSTARD, CLAY, BLACK = (
+    (0.58, 0.15, 0.09),
+    (0.60, 0.57, 0.50),
+    (0.66, 0.40, 0.06),
+    (0.55, 0.24, 0.13),
+    (0.05,) * 3,
+)
+BOOKS = (
+    (0.42, 0.09, 0.07),
+    (0.08, 0.18, 0.34),
+    (0.62, 0.52, 0.34),
+    (0.11, 0.26, 0.15),
+    (0.70, 0.66, 0.58),
+    (0.50, 0.28, 0.07),
+)
 
 
 @dataclass(frozen=True)
@@ -46,8 +60,8 @@ def room(texels: int = 512, gutter: int = 2) -> Scene:
     """A living room, 4.6 x 5.8 x 2.7 m, y up, with a window in the wall at -x; texture coordinates of all of it lie on
     one square map without overlap.
 
-    Walls, floor and most furniture have two triangles a side. Charts keep `gutter` texels on each side of them free on a
-    map of `texels` x `texels`, and all have the same scale.
+    Walls, floor and most furniture have two triangles a side. Charts keep `gutter` texels free on each side of
+    them on a map of `texels` x `texels`, and all have the same scale.
     Raises InputError if `texels` is below 128 or `gutter` below 0.
     """
     if texels < 128 or gutter < 0:
@@ -106,7 +120,8 @@ def _shelves(sizes: Sequence[np.ndarray], scale: float, texels: int, gutter: int
 
 def _quad(origin: Vector, along: Vector, across: Vector) -> Sheet:
     """A rectangle that faces along x across."""
-    positions, faces = grid(origin, along, across, 1, 1)
+    start, first, second = ((float(x), float(y), float(z)) for x, y, z in (origin, along, across))
+    positions, faces = grid(start, first, second, 1, 1)
     wide, high = math.hypot(*along), math.hypot(*across)
     return Sheet(positions, faces, np.array([[0, 0], [wide, 0], [0, high], [wide, high]]))
 
@@ -126,7 +141,7 @@ def _box(low: Vector, high: Vector, without: str = "") -> Iterator[Sheet]:
     return (_quad(*side) for name, side in sides.items() if name not in without)
 
 
-def _turned(profile: Sequence[tuple[float, float]], foot: Vector, around: int = 32) -> Sheet:
+def _turned(profile: Sequence[tuple[Number, Number]], foot: Vector, around: int = 32) -> Sheet:
     """A surface of revolution about +y through `foot`, of radii and heights from its foot to its rim."""
     points = np.array(profile)
     lengths = np.concatenate([[0], np.hypot(*np.diff(points, axis=0).T).cumsum()])
@@ -158,10 +173,15 @@ def _parts() -> Iterator[tuple[str, list[Sheet], Vector]]:
     yield "rug", list(_box((-1.5, 0, -1.5), (1.0, 0.015, 0.9), "y")), WOOL
     yield "table", list(_table()), OAK
     yield "sofa", list(_sofa()), LINEN
-    yield "cushions", [*_box((1.5, 0.46, -1.25), (1.72, 0.86, -0.8)), *_box((1.46, 0.46, 0.3), (1.68, 0.84, 0.74))], MUSTARD
+    yield (
+        "cushions",
+        [*_box((1.5, 0.46, -1.25), (1.72, 0.86, -0.8)), *_box((1.46, 0.46, 0.3), (1.68, 0.84, 0.74))],
+        MUSTARD,
+    )
     yield "shelf", list(_shelf()), WHITE
-    for number, (low, high) in enumerate(_books()):
-        yield f"book {number}", list(_box(low, high, "zy")), BOOKS[number % len(BOOKS)]
+    books = list(_books())
+    for number, colour in enumerate(BOOKS):
+        yield f"books {number}", [side for book in books[number :: len(BOOKS)] for side in _box(*book, "zy")], colour
     profile = [(0.055, 0), (0.09, 0.05), (0.115, 0.11), (0.105, 0.17), (0.065, 0.23), (0.045, 0.28), (0.055, 0.31)]
     yield "vase", [_turned(profile, (-0.25, 0.42, -0.5))], CLAY
     yield "frame", list(_box((-1.75, 1.3, -d), (-0.75, 2.0, -d + 0.035), "z")), BLACK
@@ -182,7 +202,7 @@ def _window_wall() -> Iterator[Sheet]:
     yield _quad((-w, sill, last), (-WALL, 0, 0), (0, top - sill, 0))
 
 
-def _facing_in(first: float, last: float, low: float, high: float) -> Sheet:
+def _facing_in(first: Number, last: Number, low: Number, high: Number) -> Sheet:
     """A part of the wall at -x, which faces +x."""
     return _quad((-HALF, low, last), (0, 0, first - last), (0, high - low, 0))
 
