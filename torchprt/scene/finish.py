@@ -119,7 +119,9 @@ class Finish:
         for number, some in _by_paint(surface.paint_of_face, flat):
             painted = self._painted_of(detail, number)
             shares = weights.flatten(0, 1)[some].float()
-            rows = torch.from_numpy(np.searchsorted(np.flatnonzero(surface.paint_of_face == number), flat[some]))
+            rows = torch.from_numpy(
+                np.searchsorted(np.flatnonzero(surface.paint_of_face == number), flat[some].numpy())
+            )
             wide = None if side is None else side.flatten()[some]
             looks[:, some] = _looked(painted, self._areas(flat[some]), rows, shares, wide)
         if surface.raw.tint is not None:
@@ -221,9 +223,10 @@ def _looked(
     side: Float[Tensor, "E"] | None,
 ) -> Float32[Tensor, "11 E"]:
     """What a material says at points of its faces `rows`."""
+    if not painted.maps:
+        return painted.at([], (), 1).expand(-1, len(rows))
+    kinds = torch.stack([_levels(each, areas, rows, side) for each in painted.maps], 1)
     found = torch.zeros(WIDTH, len(rows))
-    level = [_levels(each, areas, rows, side) for each in painted.maps]
-    kinds = torch.stack(level, 1) if level else torch.zeros(len(rows), 0, dtype=torch.int64)
     for kind in kinds.unique(dim=0):
         here = (kinds == kind).all(1).nonzero()[:, 0]
         uv = [_places(each, rows[here], weights[here]) for each in painted.maps]

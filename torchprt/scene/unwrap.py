@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from jaxtyping import Float, Float32, Int
 
 from torchprt.errors import InputError
 
@@ -90,7 +88,7 @@ def _fill(
     name: str,
     largest: float | None = None,
 ) -> None:
-    """Charts for `some` of the faces. What xatlas leaves out because it is small beside the rest is tried again alone."""
+    """Charts for `some` of the faces. What xatlas leaves out, as small beside the rest, is tried again alone."""
     for _ in range(ROUNDS):
         made = _charts(positions, faces[some], name, largest)
         done = made.chart >= 0
