@@ -21,7 +21,7 @@ from torchprt.words import count
 from .ground import COARSENING, FINE, REACH
 from .object import Object
 from .pack import pack
-from .rasterise import rasterise
+from .rasterise import overlap
 from .unwrap import unwrap
 from .weld import edges, weld
 
@@ -252,8 +252,7 @@ def _overlap(parts: Sequence[Float[np.ndarray, "_ 3 2"]], rows: int, columns: in
     pairs = np.concatenate(list(parts))
     # Coarser it is overlooked, finer nothing more is seen of it.
     rows, columns = (min(max(side, 256), 1024) for side in (rows, columns))
-    raster = rasterise(pairs, np.zeros(len(pairs), np.int64), rows, columns, 2)
-    return raster.twice / max(len(raster.texel), 1)
+    return overlap(pairs, rows, columns)
 
 
 def _signed(pairs: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, "F"]:

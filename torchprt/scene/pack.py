@@ -13,8 +13,10 @@ from torchprt.errors import InputError
 # The share of a map that charts cover at best, where the search begins; and how much smaller they become from one try
 # to the next, once they nearly fit.
 DENSE, STEP, TRIES = 0.75, 0.985, 40
-# Maps up to this wide are packed by trying every place.
-THOROUGH = 2048
+# The area of the mean chart, in texels, below which charts are not made smaller.
+LEAST = 0.05
+# On maps up to the one width every place is tried; up to the other every fourth in each direction, or some.
+SMALL, THOROUGH = 256, 4096
 # xatlas leaves out faces with an area below 1e-7 of its unit, which is to be far less than a texel.
 FINE = 1024.0
 
@@ -37,21 +39,35 @@ def pack(
         raise InputError(f"a map of {columns} x {rows} texels has no room between gutters of {gutter}: {advice}")
     meshes = [_corners(each[own]) for each, own in zip(charts, known, strict=True) if own.any()]
     scale = (DENSE * squares * side**2 / total) ** 0.5
-    smallest = 1e-2 * scale
-    number = 0
-    for _ in range(TRIES):
-        atlas = _packed(meshes, scale, side, squares, gutter)
+    every, number = False, 0
+    for attempt in range(TRIES):
+        atlas = _packed(meshes, scale, side, squares, gutter, every)
+        if attempt == 0 and side > SMALL:
+            # Few large charts are packed best by the one way, many small ones by the other.
+            other = _packed(meshes, scale, side, squares, gutter, not every)
+            if _size(other) < _size(atlas):
+                atlas, every = other, not every
         number = atlas.chart_count
         if 0 < atlas.atlas_count <= squares and max(atlas.width, atlas.height) <= side:
             return _placed(atlas, known, rows, columns, gutter)
-        over = max(atlas.width, atlas.height, 1) / side if squares == 1 else 1.0
-        # Gutters stay as wide as they are, so that charts have to give way for them too.
-        scale *= min(STEP, 1 / over)
-        if scale < smallest:
+        if total * scale**2 < LEAST * number:
+            # They are as small as texels, and become no smaller on the map.
             break
+        if squares == 1:
+            # Gutters stay as wide as they are, so that charts have to give way for them too.
+            scale *= min(STEP, side / max(atlas.width, atlas.height, 1))
+        else:
+            # The last of them may be nearly empty.
+            scale *= min(STEP, (squares / max(atlas.atlas_count - 1, 1)) ** 0.5)
     raise InputError(
-        f"{number} charts do not fit on a map of {columns} x {rows} texels with gutters of {gutter}: {advice}"
+        f"the charts do not fit on a map of {columns} x {rows} texels with gutters of {gutter}, there are {number} of "
+        f"them: {advice}"
     )
+
+
+def _size(atlas: Any) -> tuple[int, float]:
+    """What is to be small: squares, and the longer side of one, or how much of them is used."""
+    return atlas.atlas_count, float(max(atlas.width, atlas.height)) if atlas.atlas_count == 1 else 0.0
 
 
 def _packed(
@@ -60,20 +76,20 @@ def _packed(
     side: int,
     squares: int,
     gutter: int,
+    every: bool,
 ) -> Any:
     import xatlas
 
     atlas = xatlas.Atlas()
     # It knows a mesh by where it is in memory: all are to be there at once.
     held = [((places * (scale * FINE)).astype(np.float32), faces) for places, faces in meshes]
-    for places, faces in held:
-        atlas.add_uv_mesh(places, faces)
+    for arrays in held:
+        atlas.add_uv_mesh(*arrays)
     packing = xatlas.PackOptions()
     # It pads both of two neighbours. A single square may grow, which says how far it is from fitting.
     packing.padding, packing.texels_per_unit, packing.resolution = gutter, 1 / FINE, side if squares > 1 else 0
-    packing.bruteForce = side <= THOROUGH
-    # Every fourth place of a large map is enough, and ten times as fast.
-    packing.blockAlign = side > THOROUGH / 8
+    packing.bruteForce = side <= SMALL or (every and side <= THOROUGH)
+    packing.blockAlign = every
     atlas.generate(xatlas.ChartOptions(), packing)
     return atlas
 

@@ -113,6 +113,15 @@ def faces_twice(uv: Float[np.ndarray, "F 3 2"], rows: int, columns: int) -> Int[
     return result
 
 
+def overlap(uv: Float[np.ndarray, "F 3 2"], rows: int, columns: int) -> float:
+    """The share of the texels with a sample in a face, of four each, that have one in several faces."""
+    known = np.isfinite(uv).all(axis=(1, 2))
+    corners = np.where(known[:, None, None], uv, 0.0) * [2 * columns, 2 * rows]
+    cover, several = _covers(corners, known, 2 * rows, 2 * columns, 2)
+    twice, covered = (int(each.reshape(rows, 2, columns, 2).any(axis=(1, 3)).sum()) for each in (several, cover >= 0))
+    return twice / max(covered, 1)
+
+
 def _covers(
     corners: Float[np.ndarray, "F 3 2"], known: Bool[np.ndarray, "F"], rows: int, columns: int, across: int
 ) -> tuple[Int[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]:

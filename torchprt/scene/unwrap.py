@@ -88,7 +88,7 @@ def _fill(
     name: str,
     largest: float | None = None,
 ) -> None:
-    """Charts for `some` of the faces. What xatlas leaves out as small beside the rest is tried again alone."""
+    """Charts for `some` of the faces. What xatlas leaves out, as small beside the rest, is tried again alone."""
     for _ in range(ROUNDS):
         made = _charts(positions, faces[some], name, largest)
         done = made.chart >= 0
