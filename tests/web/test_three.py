@@ -1,6 +1,9 @@
 """Does the module for three.js draw, in a real browser, what torch computes: every pixel to 2 parts in 255?"""
 
 import json
+import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -270,6 +273,45 @@ def test_the_example_runs_from_a_plain_folder_and_asks_nothing_of_others(tab):
     names = {url.split("/dense/")[-1] for url in tab.requests}
     assert {"torchprt.js", "model.glb", "transfer.bin", "lights.json"} <= names
     assert not [name for name in names if "onnx" in name or "ort." in name or "wasm" in name]
+
+
+OWN = """<!doctype html><link rel="icon" href="data:,"><body><script type="importmap">
+{"imports": {"three": "./scene/libraries/three.module.min.js", "three/addons/": "./scene/libraries/"}}
+</script><script type="module">
+import * as THREE from "three";
+const renderer = new THREE.WebGLRenderer();
+document.body.append(renderer.domElement);
+const scene = new THREE.Scene();
+const camera = new THREE.PerspectiveCamera(40, 1, 0.1, 100);
+camera.position.set(0, 4, 6);
+camera.lookAt(0, 0, 0);
+CODE
+const drawn = new Uint8Array(4);
+renderer.render(scene, camera);
+const gl = renderer.getContext();
+gl.readPixels(150, 75, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, drawn);
+window.torchprt = { drawn: [...drawn], frames: renderer.info.render.frame };
+document.body.dataset.ready = "yes";
+</script>"""
+
+
+def test_the_lines_of_the_docs_run_in_a_scene_of_ones_own(browser, site):
+    text = (Path(__file__).parents[2] / "docs" / "gpu.md").read_text()
+    code = re.search(r"```js\n(.*?)```", text, re.DOTALL)[1]
+    assert len(code.strip().splitlines()) <= 12
+    (site / "own").mkdir()
+    shutil.copytree(site / "dense", site / "own" / "scene")
+    (site / "own" / "index.html").write_text(
+        OWN.replace("CODE", code + "await new Promise((done) => setTimeout(done, 300));")
+    )
+    with at(site) as root:
+        page = browser.new_page(viewport=SIZE)
+        tab = Visit(page).open(f"{root}/own/")
+        assert tab.complaints == []
+        drawn, frames = tab.ask("return [it.drawn, it.frames];")
+        page.close()
+    assert frames > 1
+    assert min(drawn[:3]) > 30
 
 
 @pytest.mark.parametrize("name", ["attributes", "dense", "colours", "clustered", "exit", "packed"])
