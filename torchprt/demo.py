@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchprt import light, preview, sh
-from torchprt.files import atomic, make_folder
+from torchprt.files import make_folder
 from torchprt.scene import Material, Object, Scene, samples
 from torchprt.shade import display, local_light_shader, shader
 from torchprt.transfer import Transfer, save
@@ -284,12 +284,7 @@ def eyes(transfer: Transfer, lamps: Tensor) -> Tensor:
 
 def write_environment(image: Tensor, path: Path) -> None:
     """Writes linear radiance as half-float OpenEXR."""
-    import OpenEXR
-
-    channels = {"RGB": image.numpy().astype("float16")}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with atomic(path) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+    light.write_exr(path, image.numpy())
 
 
 def _shade(transfer: Transfer, lamps: Tensor, camera: preview.Camera | None = None) -> Tensor:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from atlases import lit_cube
 from faults import everything, room_for
 from PIL import Image
 from safetensors import safe_open
@@ -41,11 +42,13 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
     "shade": [
         *((f"a{suffix}", [BALL, *LAMP]) for suffix in (".npy", ".ply", ".glb")),
         *((f"a{suffix}", [BALL, *LAMP, *SIZE]) for suffix in (".png", ".jpg", ".webp")),
+        *((f"map{suffix}", ["cube.safetensors", *LAMP]) for suffix in (".npy", ".exr", ".glb", ".png")),
     ],
     "light": [("a.npy", ["lamp.exr", "--order", "16"])],
     "export": [
         ("a.onnx", [BALL]),
         ("a.glb", [BALL]),
+        ("lit.glb", ["cube.safetensors"]),
         ("page", [BALL, "--web", *LAMP]),
         ("scene", [BALL, "--three", *LAMP]),
     ],
@@ -104,6 +107,7 @@ def inputs(folder, tmp_path_factory):
     save(bake_patch(mesh, size=4, lobes=1, order=3, rays=16, threads=1, progress=False), made / "patch.safetensors")
     around = bake_neighbourhood(read_scene(made / "ball.ply"), grid=8, rays=16, threads=1, progress=False)
     save(around, made / "around.safetensors")
+    save(lit_cube(), made / "cube.safetensors")
     np.save(made / "cloud.npy", np.full((4, 4, 4), 0.2, np.float32))
     corners = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for y in range(9) for x in range(9))
     first = [9 * y + x + 1 for y in range(8) for x in range(8)]

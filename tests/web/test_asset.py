@@ -6,6 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
+from atlases import lit_cube
 from gltf_files import Gltf
 from PIL import Image
 from web.conftest import at
@@ -13,6 +15,7 @@ from web.conftest import at
 from torchprt import bake, load_transfer, save_transfer
 from torchprt.preview import find_asset, save_lit_glb, save_transfer_glb
 from torchprt.scene import load
+from torchprt.shade import srgb
 
 PAGE = """<!doctype html><link rel="icon" href="data:,"><script type="importmap">
 {"imports": {"three": "./three.module.min.js"}}</script><script type="module">
@@ -22,7 +25,8 @@ const pixels = async (texture) => {
   const context = canvas.getContext("2d");
   context.drawImage(texture.image, 0, 0);
   const { width, height, data } = context.getImageData(0, 0, canvas.width, canvas.height);
-  return { width, height, data: Array.from(data), wrap: texture.wrapS, flip: texture.flipY, space: texture.colorSpace };
+  return { width, height, data: Array.from(data), wrap: texture.wrapS, flip: texture.flipY, space: texture.colorSpace,
+    channel: texture.channel };
 };
 window.tell = async (address) => {
   const file = await new GLTFLoader().loadAsync(address);
@@ -183,6 +187,22 @@ def test_a_glb_with_transfer_opens_with_all_that_it_had(folder, opened):
     np.testing.assert_allclose(albedo, transfer.albedo, rtol=1e-6)
     # Factors of the tiles, and pictures of 64 to 255 in sRGB: not the grey of bakes that know no material.
     assert np.ptp(albedo) > 0.1
+
+
+def test_a_map_is_on_its_own_texture_coordinates_and_needs_no_light(folder, opened):
+    whole = lit_cube()
+    colours = torch.rand(whole.vertices, 3, generator=torch.Generator().manual_seed(0))
+    save_lit_glb(whole, colours, folder / "map.glb")
+    (told,) = opened("map.glb")
+    (cube,) = (each for each in told["objects"] if "material" in each)
+    assert cube["material"]["type"] == "MeshBasicMaterial"
+    # Texture coordinates that a texture does not name would be those of set 0.
+    assert cube["material"]["map"]["channel"] == 1
+    found = np.array(cube["attributes"]["uv1"])[np.array(cube["indices"])].reshape(-1, 3, 2)
+    np.testing.assert_allclose(found, whole.receivers.mesh_uv, atol=1e-6)
+    pixels = np.array(cube["material"]["map"]["data"]).reshape(20, 30, 4)[..., :3]
+    np.testing.assert_allclose(pixels, srgb(whole.receivers.image(colours)) * 255, atol=1)
+    assert cube["material"]["map"]["space"] == "srgb"
 
 
 def test_a_glb_under_a_light_keeps_textures_and_needs_no_light(folder, opened):

@@ -59,6 +59,10 @@ def with_points(transfer: Transfer, lamps: Sequence[Emitter]) -> Transfer:
 
     if not lamps or getattr(transfer.receivers, "blend", None) is not None:
         return transfer
+    if transfer.receivers.surface_uv is not None:
+        raise InputError(
+            "--emitter is given, and lamps nearby light vertices, but this was recorded at texels: leave it out"
+        )
     say(f"{POINTS} sample points with gradients made on the way: bake with --sample-points to choose")
     return with_sample_points(transfer, POINTS, gradients=True)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torchprt.cli import bake_options, options
-from torchprt.cli.environments import WORDS, light_of
+from torchprt.cli.environments import STUDIO, WORDS, environment_of, light_of
 from torchprt.cli.export_page import export_page, export_scene
 from torchprt.cli.report import say
 from torchprt.errors import InputError
@@ -71,7 +71,8 @@ def export(
     light: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Page, --three: images or .npy to choose from, or {WORDS} (repeatable).", show_default="all of these"
+            help=f"Page, --three: images or .npy to choose from, or {WORDS} (repeatable). .glb of texels: its light.",
+            show_default="all of these; studio",
         ),
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
@@ -136,7 +137,11 @@ def export(
                 f"{output} must end in .onnx or .glb; to write a page into that folder give --web, for three.js --three"
             )
         check_writable(output, (".onnx", ".glb"))
-        _refuse(page | (graph if ends == ".glb" else mesh), f"{ends} without --web")
+        unfit = page | (graph if ends == ".glb" else mesh)
+        if ends == ".glb":
+            # Texels are lit.
+            del unfit["--light"]
+        _refuse(unfit, f"{ends} without --web")
     flight = None
     if cast is not None:
         if model is None or path is None:
@@ -185,7 +190,11 @@ def export(
         return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact, flight, gpu)
     if three:
         return export_scene(loaded, output, light, title or transfer.stem, exact, order, asset, transfer.parent)
+    if ends == ".glb" and loaded.receivers.surface_uv is not None:
+        _refuse({"--order": order}, "a .glb of texels, which is lit,")
+        return _export_lit(loaded, output, light, asset, transfer.parent)
     if ends == ".glb":
+        _refuse({"--light": light}, "a .glb of vertices, which carries transfer for every light,")
         return _export_mesh(loaded, output, order, asset, transfer.parent)
     lamps = None if fix_light is None else light_of(fix_light, loaded.order)
     texels = 32 if size is None else options.whole(size, "--size")
@@ -210,6 +219,28 @@ def _export_mesh(transfer: Transfer, path: Path, order: int | None, given: Path 
     save_transfer_glb(transfer, path, bands, asset=asset)
     albedo = "COLOR_0" if asset is None else "_PRT_ALBEDO"
     say(f"{path}: {count(transfer.vertices, 'vertex')}, albedo in {albedo}, transfer of order {bands} in _PRT_n; {why}")
+
+
+def _export_lit(transfer: Transfer, path: Path, words: list[str] | None, given: Path | None, near: Path) -> None:
+    """Writes the `.glb` that shows the map of an atlas under one light."""
+    import torch
+
+    import torchprt as prt
+    from torchprt import preview
+
+    if "eye" in transfer.needs:
+        raise InputError(
+            "gloss looks different from everywhere: give an eye to `torchprt shade`, which writes .glb too"
+        )
+    if words is not None and len(words) > 1:
+        raise InputError(f"--light is given {len(words)} times: a .glb shows one, `torchprt shade` writes one for each")
+    environment = environment_of(words[0] if words else STUDIO, transfer.order, repair=False)
+    exposure = preview.automatic_exposure(environment.light)
+    with torch.no_grad():
+        radiance = prt.shader(transfer)(environment.light)
+    colours = preview.linear_colours(radiance, exposure)
+    told = preview.save_lit_glb(transfer, colours, path, given=given, near=near)
+    say(f"{path}: {count(transfer.vertices, 'texel')} under {environment.name}, exposure {exposure:+.2f} stops; {told}")
 
 
 def _refuse(given: Mapping[str, Any], written: str) -> None:

@@ -30,6 +30,9 @@ MOST_SAMPLES = 256
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 Light = Annotated[str, typer.Option(help=LIGHT_HELP)]
+Lights = Annotated[
+    list[str] | None, typer.Option(help=f"{LIGHT_HELP} Repeatable.", show_default=f"{STUDIO}; none with --emitter")
+]
 LightOrLamps = Annotated[str | None, typer.Option(help=LIGHT_HELP, show_default=f"{STUDIO}; none with --emitter")]
 Size = Annotated[str, typer.Option(help="Of each picture, in pixels.")]
 View = Annotated[str, typer.Option(help="From the model toward the camera: X,Y,Z.")]

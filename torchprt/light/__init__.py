@@ -8,6 +8,7 @@ from .damage import DamagedImageWarning, ImageReport, inspect
 from .dominant import dominant
 from .emitters import Emitter, MeshEmitter, RectangleEmitter, SphereEmitter, incident, local_light
 from .environment import cube_to_latlong, latlong_to_cube, project
+from .exr import write_exr
 from .image import read, read_with_report
 from .probes import blend_weights, sample_points, with_sample_points
 from .sky import clear_sky, clear_sky_radiance, overcast_sky
@@ -52,4 +53,5 @@ __all__ = [
     "windowed",
     "with_sample_points",
     "write_coefficients",
+    "write_exr",
 ]

@@ -1,12 +1,18 @@
 """OpenEXR files as arrays of linear RGB."""
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from torchprt.errors import InputError
+from torchprt.files import atomic
 
 MAGIC = b"\x76\x2f\x31\x01"
+HALF = 65504
+"""The largest half float."""
 
 # Red, green, blue and white of Rec. 709, which OpenEXR assumes when a file does not say otherwise.
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -39,6 +45,40 @@ def read_exr(path: Path) -> np.ndarray:
             return _stack(path, [channels[name] for name in names])
     found = ", ".join(sorted({name for _, channels in parts for name in channels})) or "none"
     raise InputError(f"{path} has no channels R, G, B or Y (found: {found}): save it as RGB")
+
+
+def write_exr(path: str | os.PathLike[str], image: Float[np.ndarray, "H W 3"]) -> None:
+    """Writes linear RGB of Rec. 709 as OpenEXR of half floats, which have 11 bits and reach to 65504.
+
+    Raises InputError if a number is not finite or does not fit, or `path` cannot be written.
+    """
+    import OpenEXR
+
+    most = np.abs(image).max(initial=0)
+    # NaN too.
+    if not most <= HALF:
+        raise InputError(
+            f"{path} would hold a number of {most:.3g}, and half floats reach to {HALF}: write .npy, or take a weaker "
+            "light"
+        )
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic(path) as temporary:
+        pixels = np.ascontiguousarray(image, np.float16)
+        OpenEXR.File(header, {"RGB": pixels}).write(str(temporary))
+        # The library does not notice when a disk does not take the last part.
+        if not _holds(temporary, pixels):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _holds(path: Path, pixels: Float[np.ndarray, "H W 3"]) -> bool:
+    """Whether a file can be read, and has these pixels."""
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path)) as file:
+            return np.array_equal(file.channels()["RGB"].pixels, pixels)
+    except (RuntimeError, TypeError, ValueError, KeyError, IndexError):
+        return False
 
 
 def _colour(path: Path, names: list[str]) -> list[str]:

@@ -11,7 +11,6 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.measure.error import psnr
 from torchprt.preview import Camera, Still, automatic_exposure, frame, subject
-from torchprt.preview.ground import opacity
 from torchprt.transfer import Receivers
 
 SIZE = (480, 360)
@@ -39,10 +38,8 @@ class Views:
         check_flip()
         size = size or SIZE
         self.cameras = cameras(receivers, eyes, size)
-        solid = opacity(receivers)
         self._stills = [
-            Still(receivers.positions, receivers.faces, size=size, camera=camera, samples=4, opacity=solid)
-            for camera in self.cameras
+            Still.of(receivers, size=size, camera=camera, samples=4, mirrors=False) for camera in self.cameras
         ]
         self._exposures = [automatic_exposure(light) for light in lights]
         # What shows the model: the background is never wrong, nor is the black of back faces.

@@ -2,6 +2,7 @@
 
 from .asset_file import AssetWarning
 from .asset_light import keep_light, save_lit_glb
+from .asset_map import save_mapped_glb
 from .asset_source import Asset, find_asset
 from .attributes import save_transfer_glb
 from .camera import Camera, frame
@@ -10,6 +11,7 @@ from .environment import Environment, automatic_exposure, built_in_environment, 
 from .error_colours import error_colours
 from .glb import save_glb
 from .ground import subject
+from .lightmap import irradiance_exposure, save_map
 from .lobe import Lobe, lobe
 from .look import Picture, look, look_at_light
 from .model import colours, linear_colours, save_ply, tone_map
@@ -53,6 +55,7 @@ __all__ = [
     "error_colours",
     "find_asset",
     "frame",
+    "irradiance_exposure",
     "keep_light",
     "linear_colours",
     "lobe",
@@ -63,6 +66,8 @@ __all__ = [
     "save_gif",
     "save_glb",
     "save_lit_glb",
+    "save_map",
+    "save_mapped_glb",
     "save_movie",
     "save_mp4",
     "save_picture",

@@ -60,6 +60,12 @@ class AssetFile:
         """The number of a new accessor of the rows of `array [V, width]`; POSITION needs `bounds`."""
         return self.add("accessors", self._described(array, indices, bounds))
 
+    def picture(self, content: bytes, kind: str) -> int:
+        """The number of a new image, of a file of the MIME type `kind`."""
+        view: dict[str, Any] = {}
+        self._place(view, content)
+        return self.add("images", {"bufferView": self._view(view), "mimeType": kind})
+
     def extend(self, name: str) -> None:
         """Says that the file uses an extension."""
         used = self.tree.get("extensionsUsed", [])
@@ -74,19 +80,27 @@ class AssetFile:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the .glb. Raises InputError if `path` cannot be written or the file would have more than 4 GB."""
+        total, lead = self._lead()
+        if total > LARGEST:
+            raise InputError(f"{path} would have {total / 2**30:.1f} GB, more than the 4 GB of a .glb: split the model")
+        with atomic(Path(path)) as temporary, temporary.open("wb") as file:
+            file.write(struct.pack("<4sII", b"glTF", 2, total) + lead)
+            file.writelines(self._parts)
+
+    def content(self) -> bytes:
+        """The .glb as it stands."""
+        total, lead = self._lead()
+        return b"".join([struct.pack("<4sII", b"glTF", 2, min(total, LARGEST)) + lead, *self._parts])
+
+    def _lead(self) -> tuple[int, bytes]:
+        """Bytes of the whole file, and what stands in it between its header and the arrays."""
         # The standard wants four bytes of everything that is there at all.
         self.tree["buffers"] = [{"byteLength": self._size}]
         self.tree["asset"] = {**self.tree["asset"], "generator": self._generator()}
         text = json.dumps(self.tree, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        total = 12 + 8 + len(text) + 8 + self._size
-        if total > LARGEST:
-            raise InputError(f"{path} would have {total / 2**30:.1f} GB, more than the 4 GB of a .glb: split the model")
-        with atomic(Path(path)) as temporary, temporary.open("wb") as file:
-            file.write(struct.pack("<4sII", b"glTF", 2, total))
-            file.write(struct.pack("<I4s", len(text), b"JSON") + text)
-            file.write(struct.pack("<I4s", self._size, b"BIN\0"))
-            file.writelines(self._parts)
+        lead = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", self._size, b"BIN\0")
+        return 12 + len(lead) + self._size, lead
 
     def _generator(self) -> str:
         """Who made the asset, and that it went through here."""

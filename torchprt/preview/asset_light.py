@@ -13,6 +13,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.preview.asset import UNLIT, Primitive, add_others, keep, numbers
 from torchprt.preview.asset_file import AssetFile
+from torchprt.preview.asset_map import save_mapped_glb
 from torchprt.preview.asset_source import Asset, find_asset
 from torchprt.preview.glb import save_glb
 from torchprt.scene.gltf import Piece, whole
@@ -30,17 +31,21 @@ def save_lit_glb(
     colours: Float[Tensor, "V 3"],
     path: str | os.PathLike[str],
     *,
+    given: str | os.PathLike[str] | None = None,
     near: str | os.PathLike[str] = ".",
 ) -> str:
     """Writes what `transfer` was recorded at in `colours`, linear RGB in its order, as `.glb` that any viewer shows.
 
-    If it was baked from a glTF file that is still there (or in the folder `near`), it is that file as `keep_light`
-    makes it, else a plain mesh as `save_glb` writes. Returns a sentence that says which.
+    If it was baked from a glTF file that is still there (or in the folder `near`, or is `given`), it is that file as
+    `keep_light` makes it, else a plain mesh as `save_glb` writes; of an atlas what `save_mapped_glb` writes. Returns a
+    sentence that says which.
     Raises InputError for a volume, if the file is damaged or `path` cannot be written.
     """
     if not transfer.receivers.on_surface:
         raise InputError("a volume has no surface that a .glb could hold: write a picture of it")
-    asset, why = find_asset(transfer, near=near)
+    if transfer.receivers.surface_uv is not None:
+        return save_mapped_glb(transfer, colours, path, given=given, near=near)
+    asset, why = find_asset(transfer, given, near)
     if asset is None:
         save_glb(transfer.positions, transfer.normals, transfer.faces, path, colour=colours)
         return why

@@ -70,7 +70,8 @@ def find_asset(
         return asset, f"keeps what {given} holds"
     named = [each for each in fronts if each["name"].lower().endswith(SUFFIXES)]
     if not named:
-        known = ", ".join(dict.fromkeys(each["name"] for each in fronts if each["name"]))
+        names = list(dict.fromkeys(each["name"] for each in fronts if each["name"]))
+        known = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
         return None, f"a plain mesh, as {known} is no glTF" if known else "a plain mesh: --source says what was baked"
     name = Path(named[0]["name"])
     path = next((each for each in (name, Path(near) / name.name) if each.is_file()), None)

@@ -36,7 +36,11 @@ class Drawing:
         self._drawn: dict[str, Any] = {}
         self._colours: Tensor | None = None
         self._positions = session.positions
-        self.model = self._mesh(session.positions, session.faces)
+        uv = session.surface_uv
+        if uv is None:
+            self.model = self._mesh(session.positions, session.faces)
+        else:
+            self.model = self._mapped(session.positions, session.faces, uv.flatten(0, 1))
         viewer.add_geometry(self.model)
         single = reverse_faces(session.rest, session.faces) if session.has_reverse else session.faces[:0]
         self._reverse = self._mesh(session.positions, single) if len(single) else None
@@ -84,8 +88,13 @@ class Drawing:
         return True
 
     def send(self, colours: Float[Tensor, "V 3"]) -> None:
-        """Hands sRGB colours of the vertices to Open3D, which draws them with the next frame."""
-        self.model.vertex_colors = self._vectors(colours)
+        """Hands sRGB colours of the receivers to Open3D, which draws them with the next frame."""
+        if self.session.surface_uv is None:
+            self.model.vertex_colors = self._vectors(colours)
+        else:
+            # Of texels, with the gutters that a filter reads at seams.
+            image = (self.session.map(colours.float()).clamp(0, 1) * 255).round()
+            self.model.textures = [self._image(image.to(torch.uint8))]
         self.viewer.update_geometry(self.model)
 
     def _reflect(self, camera: Camera) -> bool:
@@ -204,8 +213,12 @@ class Drawing:
         return self.open3d.geometry.TriangleMesh(self._vectors(positions), indices)
 
     def _textured(self, positions: Tensor, faces: Tensor, places: Tensor) -> Any:
+        return self._mapped(positions, faces, places[faces.flatten()])
+
+    def _mapped(self, positions: Tensor, faces: Tensor, places: Float[Tensor, "corners 2"]) -> Any:
+        """A mesh with places of the three corners of each face on a picture."""
         mesh = self._mesh(positions, faces)
-        corners = np.ascontiguousarray(places[faces.flatten()].double().numpy())
+        corners = np.ascontiguousarray(places.double().numpy())
         mesh.triangle_uvs = self.open3d.utility.Vector2dVector(corners)
         mesh.triangle_material_ids = self.open3d.utility.IntVector(np.zeros(len(faces), np.int32))
         return mesh

@@ -22,22 +22,23 @@ def subject(receivers: Receivers) -> Float[Tensor, "S 3"]:
     return receivers.subject
 
 
-def opacity(receivers: Receivers) -> Float[Tensor, "V"] | None:
-    """How much of every receiver covers what is behind it: 1 on the model, on a ground falling to 0 at its edge.
+def opacity(receivers: Receivers) -> Float[Tensor, "P"] | None:
+    """How much of every vertex of their surface covers what is behind it: 1 on the model, on a ground down to 0 at its
+    edge.
 
     It falls evenly in the picture of a low camera, in which what is n times as far is n times nearer to the horizon.
     None where there is no ground, or nothing else.
     """
-    ground = receivers.ground()
+    ground, positions = receivers.surface_ground(), receivers.surface[0]
     if not bool(ground.any()) or bool(ground.all()):
         return None
-    places = receivers.positions[ground].double()
+    places = positions[ground].double()
     middle = (places.amin(0) + places.amax(0)) / 2
     away = (places - middle).norm(dim=-1)
     away = REACH * away / away.amax().clamp(min=1e-30)
     ends = 1 / (NEAR + CAMERA), 1 / (REACH + CAMERA)
     left = ((1 / (away + CAMERA) - ends[1]) / (ends[0] - ends[1])).clamp(0, 1)
-    seen = receivers.positions.new_ones(receivers.count)
+    seen = positions.new_ones(len(positions))
     # Starts and ends without a kink: neither is seen as a line.
     seen[ground] = (left * left * (3 - 2 * left)).pow(POWER).to(seen.dtype)
     return seen

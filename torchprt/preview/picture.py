@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -15,9 +16,11 @@ from torchprt.errors import InputError
 from torchprt.files import write
 from torchprt.preview.camera import Camera, frame
 from torchprt.preview.encode import encoded, image_of
+from torchprt.preview.ground import opacity as opacity_of
 from torchprt.shade import srgb, tone_mapped
 from torchprt.shade.display import TONE, ToneMap, linear
 from torchprt.trace import Mirrors, Tracer, follow
+from torchprt.transfer import Receivers
 
 SAMPLES = 4
 """Rays a pixel."""
@@ -41,6 +44,7 @@ class Still:
     _tint: Tensor | None
     _plain: Tensor | None
     _veil: Tensor | None
+    _read: Callable[[Tensor], Tensor] | None = None
 
     def __init__(
         self,
@@ -105,6 +109,34 @@ class Still:
         self._seen, self._veil = seen, None
 
     @classmethod
+    def of(
+        cls,
+        receivers: Receivers,
+        *,
+        size: tuple[int, int] = (800, 600),
+        camera: Camera | None = None,
+        samples: int = SAMPLES,
+        mirrors: bool = True,
+    ) -> Still:
+        """Of what `receivers` are drawn on, with their mirrors (or without) and a ground that fades: its pictures are
+        of a radiance for each of them, which is read at every hit where they are not its vertices."""
+        positions, _, faces = receivers.surface
+        made = cls(
+            *(positions, faces),
+            size=size,
+            camera=camera or frame(receivers.subject, aspect=size[0] / size[1]),
+            samples=samples,
+            opacity=opacity_of(receivers),
+            mirrors=receivers.mirrors if mirrors else None,
+        )
+        if receivers.surface_uv is None:
+            return made
+        face, weights = made.hits
+        made = made.of_hits()
+        made._vertices, made._read = receivers.count, lambda values: receivers.at(values, face, weights)
+        return made
+
+    @classmethod
     def empty(cls, *, size: tuple[int, int], camera: Camera, samples: int = SAMPLES) -> Still:
         """The picture of nothing at all, before which something may stand that is no surface (`veiled`)."""
         _check_pixels(size, samples)
@@ -136,7 +168,7 @@ class Still:
         triangle, weights, share = self._hits
         left = rays[self._seen]
         made._hits = triangle, weights, share * left
-        made._weights = self._weights * left.repeat_interleave(3)
+        made._weights = self._weights * left.repeat_interleave(len(self._corners) // max(len(left), 1))
         made._through = self._through * rays
         veil = radiance.reshape(*rays.shape, 3).mean(1)
         made._veil = veil if self._veil is None else veil + self._veil
@@ -234,6 +266,8 @@ class Still:
         """What the model adds to each pixel, `[H, W, 3]`."""
         if len(radiance) != self._vertices:
             raise InputError(f"radiance of {len(radiance)} vertices for a model of {self._vertices}: give each one")
+        if self._read is not None:
+            radiance = self._read(radiance)
         weights = self._weights.to(radiance)
         if self._tint is None:
             total = self._sum(radiance, weights)

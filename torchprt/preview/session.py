@@ -77,6 +77,9 @@ class Session:
         self.bakes = {name: bake for name, bake in bakes.items() if not bake.approximates}
         self.compressed = {name: bake for name, bake in bakes.items() if bake.approximates}
         self.rest, self.faces = drawn
+        self.receivers = first.receivers
+        if poses is not None and self.surface_uv is not None:
+            raise InputError("poses move vertices, and this bake was recorded at texels: leave them out")
         self.positions = self.rest
         self.playing = False
         self.seconds = 0.0
@@ -94,7 +97,7 @@ class Session:
         self.exposure = 0.0
         self.environment = 0
         self.backdrop = BACKDROPS[0]
-        self._opacity = opacity(first.receivers)
+        self._opacity = opacity(first.receivers) if self.surface_uv is None else None
         self.rotation = torch.eye(3)
         self.orbit = self._home = Orbit.around(subject(first.receivers).double(), toward)
         self.picked: int | None = None
@@ -121,11 +124,21 @@ class Session:
                 )
         if not first.receivers.on_surface:
             raise InputError(f"{first_name} is a volume: use preview.VolumeSession, or session_of")
-        if len(first.faces) == 0:
+        positions, _, faces = first.receivers.surface
+        if len(faces) == 0:
             raise InputError(f"{first_name} was recorded at loose points: a preview needs faces")
-        return first.positions.double(), first.faces.long()
+        return positions.double(), faces.long()
 
     # What is looked at
+
+    @property
+    def surface_uv(self) -> Float[Tensor, "F 3 2"] | None:
+        """Where the corners of faces are on the map that `map` makes of colours; None if these are of vertices."""
+        return self.receivers.surface_uv
+
+    def map(self, colours: Float[Tensor, "V 3"]) -> Float[Tensor, "H W 3"]:
+        """The map of colours of texels, with its gutters."""
+        return self.receivers.as_atlas().image(colours)
 
     @property
     def camera(self) -> Camera:
@@ -143,7 +156,7 @@ class Session:
     @property
     def follows_pose(self) -> bool:
         """Whether the model can move: what is shown follows its pose."""
-        return self._relight(self._stored()).follows_pose
+        return self.surface_uv is None and self._relight(self._stored()).follows_pose
 
     @property
     def stops(self) -> float:
@@ -211,7 +224,7 @@ class Session:
         if self.picked is None:
             return None
         coefficients = self._relight(self._stored()).transfer_of(self.picked, self.eye, self._pose()).mean(-1)
-        return lobe(coefficients[: self.order**2], self.positions[self.picked], LOBE * self.radius)
+        return lobe(coefficients[: self.order**2], self._place(self.picked), LOBE * self.radius)
 
     def status(self) -> list[str]:
         """Lines that say what is shown."""
@@ -321,10 +334,25 @@ class Session:
             return "no vertex picked"
         u, v = float(hit.u), float(hit.v)
         corner = max(range(3), key=(1 - u - v, u, v).__getitem__)
-        self.picked = int(self.faces[triangle, corner])
-        return f"vertex {self.picked}: its transfer function, red where light adds and blue where it takes away"
+        if self.surface_uv is None:
+            self.picked = int(self.faces[triangle, corner])
+        else:
+            weights = torch.tensor([1 - u - v, u, v], dtype=torch.float64)
+            self.picked = self._nearest(weights @ self.rest[self.faces[triangle]])
+        word = "vertex" if self.surface_uv is None else "texel"
+        return f"{word} {self.picked}: its transfer function, red where light adds and blue where it takes away"
 
     # How
+
+    def _place(self, receiver: int) -> Tensor:
+        """Where a receiver is, as it is drawn."""
+        return self.positions[receiver] if self.surface_uv is None else self.receivers.positions[receiver].double()
+
+    def _nearest(self, place: Float[Tensor, "3"]) -> int:
+        """The receiver nearest to a place, among those that face the eye if any do."""
+        away = (self.receivers.positions.double() - place).norm(dim=-1)
+        facing = (self.normals.double() @ (self.eye - place)) > 0
+        return int(torch.where(facing, away, 2 * self.radius + away).argmin())
 
     def _stored(self) -> str:
         """The name of the bake that is shaded in the present mode."""

@@ -16,7 +16,6 @@ from torchprt.files import write
 from torchprt.preview.camera import Camera
 from torchprt.preview.encode import encoded, image_of
 from torchprt.preview.environment import Environment, automatic_exposure, for_pixels, photograph, seen_along
-from torchprt.preview.ground import opacity
 from torchprt.preview.orbit import Orbit
 from torchprt.preview.picture import SAMPLES, Still
 from torchprt.preview.relight import Relight
@@ -104,14 +103,7 @@ class Studio:
             place = self.transfer.receivers
             if not place.on_surface:
                 raise InputError("a volume is no mesh to make a still of: use preview.VolumeStudio, or studio_of")
-            self._still = Still(
-                *(place.positions, place.faces),
-                size=self.size,
-                camera=camera,
-                samples=self.samples,
-                opacity=opacity(place),
-                mirrors=place.mirrors,
-            )
+            self._still = Still.of(place, size=self.size, camera=camera, samples=self.samples)
         return self._still
 
     def _behind(self, camera: Camera, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "H W 3"] | None:

@@ -80,7 +80,7 @@ class VolumeStudio(Studio):
         if not self.alone:
             if self._far is None or self._far[0] != still.camera:
                 place = self.transfer.receivers
-                self._far = still.camera, still.distances(place.positions, place.faces)
+                self._far = still.camera, still.distances(*place.surface[::2])
             far = self._far[1].flatten()
         eye = torch.tensor(still.camera.eye, dtype=torch.float64)
         with torch.no_grad():

@@ -1,6 +1,7 @@
 """What a bake leaves: receivers, layers and signals, and one file format."""
 
 from .atlas import Atlas, bilinear
+from .atlas_mips import mips
 from .cells import Cells
 from .clustered import Clustered
 from .d3dx import load_d3dx
@@ -13,6 +14,7 @@ from .layout import Layout
 from .neighbourhood import Neighbourhood
 from .phase import Phase
 from .receivers import Receivers, Sight, Texels, Vertices
+from .resample import places, to_texels, to_vertices, with_channels
 from .signal import Signal
 from .transfer import Transfer, diffuse_transfer
 from .zonal import Zonal
@@ -45,5 +47,10 @@ __all__ = [
     "grid_in",
     "load",
     "load_d3dx",
+    "mips",
+    "places",
     "save",
+    "to_texels",
+    "to_vertices",
+    "with_channels",
 ]

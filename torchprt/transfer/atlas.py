@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -94,8 +94,15 @@ class Atlas(Receivers):
         return self.mesh_positions, self.mesh_normals, self.mesh_faces
 
     @property
-    def subject(self) -> Float[Tensor, "S 3"]:
-        return self.mesh_positions
+    def surface_uv(self) -> Float[Tensor, "F 3 2"]:
+        return self.mesh_uv.nan_to_num(0.0)
+
+    def surface_ground(self) -> Bool[Tensor, "P"]:
+        found = torch.zeros(len(self.mesh_positions), dtype=torch.bool, device=self.positions.device)
+        for each in self.objects:
+            if each["role"] == "ground":
+                found[slice(*each["vertices"])] = True
+        return found
 
     def image(self, values: Float[Tensor, "*B V D"]) -> Float[Tensor, "*B rows columns D"]:
         """The map with values of the receivers, and its gutters; zero elsewhere."""

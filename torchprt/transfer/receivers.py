@@ -48,6 +48,12 @@ class Receivers(Part, abc.ABC):
         """What is drawn: positions, normals and faces. `at` says what is seen on it."""
         return self.positions, self.normals, self.faces
 
+    @property
+    def surface_uv(self) -> Float[Tensor, "F 3 2"] | None:
+        """Where the corners of faces of `surface` are on the map of the receivers; None if they are its
+        vertices, and what they have is what these have."""
+        return None
+
     def at(
         self, values: Float[Tensor, "*B V D"], face: Int[Tensor, "E"], weights: Float[Tensor, "E 3"]
     ) -> Float[Tensor, "*B E D"]:
@@ -60,11 +66,15 @@ class Receivers(Part, abc.ABC):
         """Which of them are of a ground: pictures are about the others."""
         return torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
 
+    def surface_ground(self) -> Bool[Tensor, "P"]:
+        """Which vertices of `surface` are of a ground."""
+        return self.ground()
+
     @property
     def subject(self) -> Float[Tensor, "v 3"]:
-        """The positions that pictures are about and frame: all but the ground, unless there is nothing else."""
-        model = ~self.ground()
-        return self.positions[model] if bool(model.any()) else self.positions
+        """The places that pictures are about and frame: all of `surface` but the ground, or that alone."""
+        model, positions = ~self.surface_ground(), self.surface[0]
+        return positions[model] if bool(model.any()) else positions
 
     def sampled(self) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "V K"]]:
         """The sample points of their light and its blend at each; InputError, which says how to get them, if none."""

@@ -160,6 +160,21 @@ class Transfer:
         """The same with all signals stored as `dtype` (float16 and bfloat16 halve the bytes)."""
         return self.with_layers(**{name: layer.to(dtype) for name, layer in self.layers.items()})
 
+    def white(self) -> Transfer:
+        """The same as if its receivers were white: what they send is irradiance / pi. Light between surfaces keeps the
+        colours of these; layers that depend on the eye are left out.
+
+        Raises InputError if there are no others.
+        """
+        kept = {name: layer for name, layer in self.layers.items() if "eye" not in layer.needs}
+        if not kept:
+            raise InputError(
+                f"transfer of kind '{self.kind}' depends on the eye, and has no irradiance: bake the scene with "
+                "diffuse materials for that"
+            )
+        made = {name: layer.replace(**{layer.weight_name: layer.weight.new_ones(1, 1)}) for name, layer in kept.items()}
+        return dataclasses.replace(self, layers=made)
+
     def with_ground(self) -> Transfer:
         """The same with its ground as one model among others: to be framed, shown whole and written."""
         if not isinstance(self.receivers, Vertices):

@@ -11,6 +11,7 @@ from .painted_vase import painted_vase, vase_picture, write_painted_vase
 from .patches import bumps, waffle, wrinkles
 from .plane_and_blocker import plane_and_blocker
 from .ring import ring, ring_on_plane
+from .room import room
 from .still_life import still_life
 from .teapot import teapot
 from .vase import vase
@@ -31,6 +32,7 @@ __all__ = [
     "plane_and_blocker",
     "ring",
     "ring_on_plane",
+    "room",
     "still_life",
     "teapot",
     "terrain",
