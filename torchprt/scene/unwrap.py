@@ -17,7 +17,7 @@ COST = 1.0
 # The share of the area of a mesh that a chart has at most. Larger charts are fewer, and take five times as long.
 LARGEST = 0.02
 # Faces up to which they may be as large as they will.
-FEW = 4096
+FEW = 40_000
 # What a mesh is made as wide as for xatlas, which takes areas and edges below 1e-7 for none.
 WIDTH = 1024.0
 # How often what it left out, or laid over itself, is tried again.
@@ -88,7 +88,7 @@ def _fill(
     name: str,
     largest: float | None = None,
 ) -> None:
-    """Charts for `some` of the faces. What xatlas leaves out, as small beside the rest, is tried again alone."""
+    """Charts for `some` of the faces. What xatlas leaves out as small beside the rest is tried again alone."""
     for _ in range(ROUNDS):
         made = _charts(positions, faces[some], name, largest)
         done = made.chart >= 0
