@@ -31,7 +31,7 @@ def unwrap(
     mesh, one chart beside the other; NaN for faces without area, which lie on none.
 
     The same for a mesh that is scaled or moved, up to rounding, and the same bits for the same mesh. A scan of 70 000
-    faces takes 4 s, four times as many take four times as long; Ctrl-C waits for it.
+    faces takes 7 s of one core, of 280 000 19 s; Ctrl-C waits for that.
     Raises InputError if xatlas makes nothing of it.
     """
     import xatlas
