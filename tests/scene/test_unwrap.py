@@ -8,8 +8,9 @@ from texel_scenes import cube, plane
 
 from torchprt.errors import InputError
 from torchprt.scene import make_mesh
-from torchprt.scene.rasterise import rasterise
-from torchprt.scene.unwrap import pack, unwrap
+from torchprt.scene.pack import pack
+from torchprt.scene.rasterise import overlap, rasterise
+from torchprt.scene.unwrap import unwrap
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
@@ -91,6 +92,24 @@ def test_every_face_with_area_is_on_the_map_as_large_as_it_is(faces, lost):
     shares = areas(placed[own]) / areas(pairs[own])
     assert shares == pytest.approx(shares.mean(), rel=0.05)
     assert rasterise(placed, np.arange(len(faces)), 256, 256, 2).twice == 0
+
+
+def test_a_part_that_is_far_smaller_than_the_rest_has_charts_too():
+    positions, faces = arrays(ball(2))
+    both = np.concatenate([positions * 1e-5, positions + 5])
+    pairs = unwrap(both, np.concatenate([faces, faces + len(positions)]))
+    assert np.isfinite(pairs).all()
+    wide = [areas(each).sum() for each in np.split(pairs, 2)]
+    assert wide[0] == pytest.approx(1e-10 * wide[1], rel=0.01)
+
+
+@pytest.mark.parametrize("side", [slice(None), slice(None, None, -1)], ids=["again", "reverse"])
+def test_a_surface_that_is_there_twice_has_its_charts_twice(side):
+    positions, faces = arrays(ball(2))
+    placed = pack([unwrap(positions, np.concatenate([faces, faces[:, side]]))], 128, 128, 2)[0]
+    # Torn apart, of faces with gutters around each, it would fill a fiftieth of the map.
+    assert areas(placed).sum() > 0.25
+    assert overlap(placed, 256, 256) == 0
 
 
 def test_a_curved_surface_keeps_its_areas_about():

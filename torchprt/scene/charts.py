@@ -20,8 +20,9 @@ from torchprt.words import count
 
 from .ground import COARSENING, FINE, REACH
 from .object import Object
+from .pack import pack
 from .rasterise import overlap
-from .unwrap import pack, unwrap
+from .unwrap import unwrap
 from .weld import edges, weld
 
 # The share of covered texels that may lie in several faces, as rounding along edges makes them.
