@@ -17,7 +17,7 @@ COST = 1.0
 # The share of the area of a mesh that a chart has at most. Larger charts are fewer, and take five times as long.
 LARGEST = 0.02
 # Faces up to which they may be as large as they will.
-FEW = 4096
+FEW = 40_000
 # What a mesh is made as wide as for xatlas, which takes areas and edges below 1e-7 for none.
 WIDTH = 1024.0
 # How often what it left out, or laid over itself, is tried again.
