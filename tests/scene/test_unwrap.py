@@ -56,7 +56,7 @@ def test_a_map_that_is_too_small_is_refused():
     pairs = unwrap(*arrays(cube()))
     with pytest.raises(InputError, match="no room between gutters of 8"):
         pack([pairs], 16, 16, 8)
-    with pytest.raises(InputError, match="charts do not fit on a map of 12 x 12 texels with gutters of 4"):
+    with pytest.raises(InputError, match="the charts do not fit on a map of 12 x 12 texels with gutters of 4"):
         pack([pairs], 12, 12, 4)
 
 

@@ -3,7 +3,7 @@ import { checkBrowser, damaged, Fault, load, notOfOnePage } from "./faults.js";
 import { Flight } from "./flight.js";
 import { loadMesh } from "./mesh.js";
 import { connect, median, megabytes, report } from "./panel.js";
-import { Model } from "./runtime.js";
+import { COMPRESSED, MODEL, Model } from "./runtime.js";
 import { Viewer } from "./viewer.js";
 import { Volume } from "./volume.js";
 
@@ -53,7 +53,7 @@ async function race(viewer, url) {
 async function start() {
   checkBrowser();
   // All at once; what fails is told of where it is waited for.
-  const loading = [loadMesh("mesh.glb"), Model.open("model.onnx.gz")];
+  const loading = [loadMesh("mesh.glb"), Model.open(MODEL)];
   for (const each of loading) each.catch(() => {});
   const described = await load("scene.json", "json");
   document.title = described.title;
@@ -62,7 +62,7 @@ async function start() {
   at("loading").textContent = `loading ${megabytes(described.download)}`;
   const [mesh, model, compressed, pictures, mirrors, flight, volume] = await Promise.all([
     ...loading,
-    described.compressed ? Model.open("compressed.onnx.gz") : null,
+    described.compressed ? Model.open(COMPRESSED) : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
     described.mirrors ? loadMesh("mirrors.glb") : null,
     described.flight
@@ -87,7 +87,7 @@ async function start() {
   at("loading").hidden = true;
   document.body.dataset.ready = Math.round(performance.now());
   window.torchprt = viewer;
-  viewer.raced = race(viewer, "model.onnx.gz");
+  viewer.raced = race(viewer, MODEL);
   await viewer.raced;
 }
 

@@ -35,7 +35,7 @@ export function report(viewer) {
     ...(compressed ? [["compressed", megabytes(about.compressed.bytes)]] : []),
     ["model file", megabytes(model.bytes)],
     ["one shade", viewer.times.length ? `${median(viewer.times).toFixed(1)} ms` : "-"],
-    ["runs on", model.where === "wasm" ? "WASM, 1 thread" : "WebGPU"],
+    ["runs on", { wasm: "WASM, 1 thread", webgpu: "WebGPU", webgl: "WebGL 2" }[model.where]],
     ...(viewer.relative === null ? [] : [["difference (RMS)", `${(100 * viewer.relative).toPrecision(2)} %`]]),
   ];
   const text = rows.flat().join("\n");
