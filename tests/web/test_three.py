@@ -154,6 +154,7 @@ def site(libraries, cases, tmp_path_factory):
         web.export_three(transfer, folder / name, check=False, **options)
     packed = compress(cases["exit"], clusters=4, components=6)
     web.export(cases["exit"], folder / "page", compressed=packed, environments=LAMPS, check=False, gpu=True)
+    web.export(cases["atlas"], folder / "mapped", environments=LAMPS, check=False, gpu=True)
     np.save(folder / "sky.npy", LIGHT.numpy())
     return folder
 
@@ -497,6 +498,36 @@ def test_a_page_that_shades_in_webgl_shows_what_torch_computes(browser, site, ca
             np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * float(expected.abs().max()))
         assert "WebGL 2" in tab.page.inner_text("#statistics")
         page.close()
+
+
+def test_a_page_of_a_map_draws_it_on_the_meshes(browser, site, cases):
+    transfer = cases["atlas"]
+    atlas = transfer.receivers.as_atlas()
+    with at(site) as root:
+        page = browser.new_page(viewport=SIZE)
+        tab = Visit(page).open(f"{root}/mapped/")
+        found = np.reshape(tab.radiance(), (-1, 3))
+        image, corners, where = tab.ask("""
+            const { filled, geometry } = it.view;
+            const { uv, position } = geometry.attributes;
+            return [Array.from(filled.data), Array.from(uv.array), Array.from(position.array)];
+        """)
+        tab.page.click("#modes input[value=unshadowed]")
+        plain = np.reshape(tab.radiance(), (-1, 3))
+        assert "texels" in tab.page.inner_text("#statistics")
+        assert tab.complaints == []
+        page.close()
+    values = shader(web.shader_file(transfer).transfer).double()(LIGHT[:9].double())
+    np.testing.assert_allclose(found, values, rtol=0, atol=CLOSE * float(values.max()))
+    shown = np.reshape(image, (atlas.rows, atlas.columns, 4))[..., :3]
+    np.testing.assert_allclose(shown, atlas.image(values), rtol=0, atol=2 * CLOSE * float(values.max()))
+    # Coordinates of the corners are those of the atlas: this one has u along x, and v along -z of each chart.
+    uv, place = np.reshape(corners, (-1, 2)), np.reshape(where, (-1, 3))
+    for corner, point in zip(uv, place, strict=True):
+        same = (atlas.mesh_positions[atlas.mesh_faces.long()].flatten(0, 1) - torch.tensor(point)).abs().amax(1) < 1e-3
+        assert (atlas.mesh_uv.flatten(0, 1)[same] - torch.tensor(corner)).abs().amax(1).min() < 1e-6
+    assert plain.shape == found.shape
+    assert np.ptp(plain) < np.ptp(found)
 
 
 def test_faults_are_sentences(tab):

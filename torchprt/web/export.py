@@ -28,6 +28,7 @@ from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.flight import Flight
 from torchprt.web.libraries import libraries
+from torchprt.web.map import MAP, mapped_corners, save_map
 from torchprt.web.mesh import save_small_glb
 from torchprt.web.packing import pack
 from torchprt.web.shader_file import shader_file
@@ -113,6 +114,8 @@ def export(
     Of a volume the page composites the source radiance of its cells, which the graph gives, along the rays of its
     camera, in steps between cells as `shade.Composite` does; it shows transfer and `compressed`.
 
+    Of texels it draws the meshes with the map, read between texels, and its gutters.
+
     `flight`: an object that moves over the model and casts its shadow on it.
 
     Weights and mesh are quantised (`packing.pack`, `mesh.save_small_glb`), which with gzip makes 100 000 vertices of
@@ -130,6 +133,9 @@ def export(
     volume = None if full.receivers.on_surface else full.receivers.as_cells()
     if volume is not None and flight is not None:
         raise InputError("nothing flies over a volume, which has no surface to cast a shadow on: leave the flight out")
+    atlas = full.receivers.as_atlas() if full.receivers.kind == "atlas" else None
+    if atlas is not None and flight is not None:
+        raise InputError("nothing flies over a map of texels: leave the flight out, or take it to vertices")
     if gpu and (volume is not None or flight is not None):
         raise InputError("a page with gpu shows surfaces on which nothing flies: leave gpu out")
     if len(full.faces) == 0 and volume is None:
@@ -180,6 +186,12 @@ def export(
         if volume is not None:
             # What is drawn are the sides of its box.
             drawn, colour = box(volume), torch.zeros(8, 3)
+        charted = None
+        if atlas is not None:
+            index, uv, faces = mapped_corners(atlas)
+            drawn = (atlas.mesh_positions[index], atlas.mesh_normals[index], faces)
+            charted = save_map(atlas, colour, uv, made)
+            colour = torch.zeros(len(index), 3)
         moved = save(*drawn, made / "mesh.glb", colour=colour) or 0.0
         cells = None if volume is None else save_volume(volume, made)
         mirrors = full.receivers.mirrors
@@ -189,7 +201,7 @@ def export(
         camera = preview.frame(preview.subject(full.receivers), aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
         stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
-        closed = volume is not None or _is_closed(full.positions, full.faces)
+        closed = volume is not None or _is_closed(drawn[0], drawn[2])
         about = _about(full, transfer, compressed, title, closed) | {
             "tone": TONE,
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
@@ -201,9 +213,11 @@ def export(
         about["mirrors"] = mirrors is not None
         about["flight"] = flies
         about["volume"] = cells
+        about["map"] = charted
         meshes = (
             "mesh.glb",
             *((NAME,) if volume is not None else ()),
+            *((MAP,) if atlas is not None else ()),
             *(("mirrors.glb",) if mirrors is not None else ()),
             *flying,
         )

@@ -27,6 +27,7 @@ from torchprt.transfer import Transfer
 from torchprt.transfer.file import CONVENTIONS
 from torchprt.web.environment import as_json, of_order, samples
 from torchprt.web.libraries import libraries
+from torchprt.web.map import mapped_corners
 from torchprt.web.shader_file import shader_file
 
 MODEL, TRANSFER, MODULE = "model.glb", "transfer.bin", "torchprt.js"
@@ -174,15 +175,8 @@ def _save_model(transfer: Transfer, path: Path, asset: Asset | None) -> None:
     positions, normals, faces = receivers.surface
     extras = {"torchprt": {"order": transfer.order, "conventions": CONVENTIONS}}
     if receivers.kind == "atlas":
-        atlas = receivers.as_atlas()
-        # A vertex of the file for every vertex and place on the map.
-        corners = torch.cat([faces.long()[..., None].double(), atlas.mesh_uv.nan_to_num(0.0).double()], -1).flatten(
-            0, 1
-        )
-        unique, place = torch.unique(corners, dim=0, return_inverse=True)
-        index = unique[:, 0].long()
-        attributes = {"TEXCOORD_0": unique[:, 1:]}
-        faces = place.reshape(-1, 3)
+        index, uv, faces = mapped_corners(receivers.as_atlas())
+        attributes = {"TEXCOORD_0": uv}
         preview.save_glb(positions[index], normals[index], faces, path, attributes=attributes, extras=extras)
         return
     if receivers.count >= 1 << 24:

@@ -30,7 +30,7 @@ export const median = (values) => [...values].sort((a, b) => a - b)[values.lengt
 export function report(viewer) {
   const { about, model, compressed } = viewer;
   const rows = [
-    [about.volume ? "cells" : "vertices", number(about.vertices)],
+    [about.volume ? "cells" : about.map ? "texels" : "vertices", number(about.vertices)],
     ["transfer", megabytes(about.bytes)],
     ...(compressed ? [["compressed", megabytes(about.compressed.bytes)]] : []),
     ["model file", megabytes(model.bytes)],
