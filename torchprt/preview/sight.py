@@ -30,11 +30,12 @@ def sight_colours(receivers: Receivers) -> Float[Tensor, "V 3"]:
 
 def sight_legend(receivers: Receivers) -> list[str]:
     """A line for each colour that there is: which it is, how many have it, and how they came to their transfer."""
+    place = "vertex" if receivers.surface_uv is None else "texel"
     if getattr(receivers, "sight", None) is None:
-        return ["grey: no vertex is marked, all saw by their own rays or nobody looked"]
+        return [f"grey: no {place} is marked, all saw by their own rays or nobody looked"]
     counts = torch.bincount(_sight(receivers), minlength=len(Sight)).tolist()
     return [
-        f"{COLOURS[kind][1]}: {count(number, 'vertex')}, lit {COLOURS[kind][0]}"
+        f"{COLOURS[kind][1]}: {count(number, place)}, lit {COLOURS[kind][0]}"
         for kind, number in zip(Sight, counts, strict=True)
         if number
     ]

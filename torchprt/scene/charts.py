@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int, Int64
+from jaxtyping import Float, Float64, Int, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
@@ -55,9 +55,9 @@ def charts_of(
     """The charts of all objects that receive, on a map of `rows` x `columns`.
 
     `uv` is a set of texture coordinates, "unwrap" for charts by xatlas, or None: set 1 if every object has it, as
-    lightmaps do, else set 0, where it is fit; else unwrapped. Fit are coordinates within the square, of every face, that
-    put no two faces at one place, also not of two objects. Those of objects that are fit alone and lie on each other are
-    packed side by side, each as large as it is on the surface.
+    lightmaps do, else set 0, where it is fit; else unwrapped. Fit are coordinates within the square, of every face,
+    that put no two faces at one place, also not of two objects. Those of objects that are fit alone and lie on each
+    other are packed side by side, each as large as it is on the surface.
     Charts that lie beside the square by whole numbers are brought back.
 
     Warns (`AtlasWarning`) if a set that was asked for puts several faces at one place.
@@ -136,9 +136,7 @@ def _side_by_side(
     return pack(parts, rows, columns, gutter), [said, *notes[1:]]
 
 
-def _decided(
-    objects: Sequence[Object], rows: int, columns: int, gutter: int
-) -> tuple[list[np.ndarray], list[str]]:
+def _decided(objects: Sequence[Object], rows: int, columns: int, gutter: int) -> tuple[list[np.ndarray], list[str]]:
     """The first set that is fit, else charts made anew; and why."""
     reasons = []
     for number in (1, 0):
@@ -217,7 +215,7 @@ def _signed(pairs: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, "F"]:
 
 
 def _mirrored(pairs: Float[np.ndarray, "F 3 2"]) -> int:
-    """Faces that are wound the other way on the map; v is down, so that a face seen from outside turns the other way."""
+    """Faces that are wound the other way on the map; v is down, so a face seen from outside turns the other way."""
     with np.errstate(invalid="ignore"):
         result: int = int((_signed(pairs) > 0).sum())
     return result

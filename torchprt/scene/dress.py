@@ -13,6 +13,7 @@ import torch
 from torchprt.errors import InputError
 from torchprt.words import count
 
+from .detail import Detail
 from .energy import EnergyWarning, reflected
 from .glosses import few_glosses
 from .material import Albedo, Material
@@ -64,13 +65,13 @@ def object_of(
                 raise InputError(f'{source} has no colours for albedo "file": give the albedo as numbers')
             chosen = file_material(surface, gloss=False)
             if material is not None:
-                chosen = replace(_given(material, None), albedo=chosen.albedo, notes=chosen.notes)
+                chosen = replace(_given(material, None), albedo=chosen.albedo, notes=chosen.notes, detail=chosen.detail)
         else:
             chosen = _given(material, albedo)
             if material is None and albedo is None and surface.paints:
                 # It may have lost them with a file that is not there.
                 notes = [f"The file says no colour: albedo {chosen.albedo:g}.", *_notes(surface, (), gloss=False)]
-                chosen = replace(chosen, notes=tuple(notes))
+                chosen = replace(chosen, notes=tuple(notes), detail=Detail(surface))
         if material is None and not whole:
             chosen = replace(chosen, two_sided=surface.two_sided)
         if whole and not told and albedo is not None:
@@ -94,7 +95,7 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
     those of all vertices. The body is base (1 - metallic), times what the gloss lets through of a uniform light, which
     is the glTF's 1 - F in the mean over views.
 
-    `notes` say what was taken and what was left.
+    `notes` say what was taken and what was left; `detail` keeps the file for what lies between vertices (`Finish`).
     Source: the specification of glTF 2.0, appendix B.
     """
     look = surface.look(gloss)
@@ -107,12 +108,12 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
         notes.append(f"Albedo is {mean:.2g} in the mean: light that bounces dies slowly.")
     two_sided = surface.two_sided
     if not gloss:
-        return Material(torch.from_numpy(body).float(), two_sided, notes=tuple(notes))
+        return _diffuse(surface, body, notes, gloss)
     reflectance, _ = _shares(look.dielectric + look.metal)
     glosses, change = few_glosses(look.roughness, reflectance.max(axis=1))
     if glosses is None:
         notes.append("No material has a gloss.")
-        return Material(torch.from_numpy(body).float(), two_sided, notes=tuple(notes))
+        return _diffuse(surface, body, notes, gloss)
     weight = np.ones_like(reflectance)
     for number, brdf in enumerate(glosses.models):
         here = (glosses.of_vertex == number).numpy()
@@ -120,14 +121,21 @@ def file_material(surface: Surface, gloss: bool = False) -> Material:
         body[here] *= 1 - weight[here] * reflected(brdf).mean
     rounded = f", roughness rounded by up to {change:.2g}" if change > 5e-4 else ""
     notes.append(f"Gloss of the file: {count(len(glosses.models), 'kind')} of GGX{rounded}.")
-    arguments: dict[str, Any] = {"albedo": torch.from_numpy(body).float(), "two_sided": two_sided}
+    albedo, specular = torch.from_numpy(body).float(), torch.from_numpy(weight).float()
     with warnings.catch_warnings(record=True) as caught:
         # The Lambertian body lacks the 1 - F toward grazing views, of which the file knows; it is said, once.
         warnings.simplefilter("always", EnergyWarning)
-        made = Material(**arguments, gloss=glosses, specular=torch.from_numpy(weight).float())
+        made = Material(
+            albedo, two_sided, glosses, specular, detail=Detail(surface, albedo, specular, glosses, gloss=True)
+        )
     if caught:
         notes.append("Toward grazing views it is brighter than a uniform light around it, on the whole it is not.")
     return _quietly(made, notes=tuple(notes))
+
+
+def _diffuse(surface: Surface, body: np.ndarray, notes: Iterable[str], gloss: bool) -> Material:
+    albedo = torch.from_numpy(body).float()
+    return Material(albedo, surface.two_sided, notes=tuple(notes), detail=Detail(surface, albedo, gloss=gloss))
 
 
 def _quietly(material: Material, **changes: Any) -> Material:
@@ -176,6 +184,9 @@ def _notes(surface: Surface, said: Iterable[str], gloss: bool) -> list[str]:
     if left:
         words = ", ".join(f"{what} of {listed(names)}" for what, names in left.items())
         notes.append(f"Left out: {words}.{' Material file takes the gloss.' if 'gloss' in left else ''}")
+    bumpy = [paint.name for paint in used if paint.normal_map is not None]
+    if bumpy:
+        notes.append(f"At texels, not at vertices: normal map of {listed(bumpy)}.")
     metals = [paint.name for paint in used if paint.metallic > 0 and paint.gloss_map is None]
     if metals and taken and not gloss:
         notes.append(f"Metal is taken as diffuse, of its base colour: {listed(metals)}.")

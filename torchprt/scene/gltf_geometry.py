@@ -54,6 +54,8 @@ class Piece:
     colours: Float64[np.ndarray, "V 3"] | Float64[np.ndarray, "V 4"] | None
     """Linear RGB or RGBA."""
     material: int | None
+    handed: Float64[np.ndarray, "V"] | None = None
+    """1 or -1: the bitangent is that times normal x tangent; None without tangents."""
 
 
 @dataclass(eq=False)
@@ -182,6 +184,8 @@ def _placed(nodes: Nodes, primitive: Primitive, where: tuple[int | None, int, in
         {number: values[f"TEXCOORD_{number}"] for number in sets},
         colours,
         primitive.material,
+        # The cross product does not mirror with its factors.
+        None if tangents is None else np.sign(tangents[:, 3:].sum(axis=1)) * (-1 if mirrored else 1),
     )
 
 

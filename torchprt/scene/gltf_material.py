@@ -73,6 +73,7 @@ def _paint(document: Document, entry: Mapping[str, Any], name: str) -> Paint:
     alpha = entry.get("alphaMode", "OPAQUE")
     if alpha != "OPAQUE":
         left.append("transparency" if alpha == "BLEND" else "cut-out holes")
+    normal = entry.get("normalTexture")
     return Paint(
         name,
         None if factor is None else _colour(factor),
@@ -84,13 +85,15 @@ def _paint(document: Document, entry: Mapping[str, Any], name: str) -> Paint:
         gloss_map,
         reflectance,
         bool(entry.get("doubleSided", False)),
+        _map(document, normal, srgb=False),
+        1.0 if normal is None else float(normal.get("scale", 1)),
         tuple(left),
         tuple(notes),
     )
 
 
 def _left(entry: Mapping[str, Any], more: Mapping[str, Any]) -> list[str]:
-    left = [word for key, word in (("normalTexture", "normal map"), ("occlusionTexture", "occlusion")) if key in entry]
+    left = ["occlusion"] if "occlusionTexture" in entry else []
     if ("emissiveTexture" in entry and any(entry.get("emissiveFactor", ()))) or any(entry.get("emissiveFactor", ())):
         left.append("emission")
     known = {name: WORDS.get(name, name) for name in more if name not in (*TAKEN, GLOSSINESS)}

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchprt.brdf import Brdf, parse
 from torchprt.errors import InputError
 
+from .detail import Detail
 from .energy import check_balance
 from .glosses import Glosses
 from .mesh import Mesh
@@ -58,6 +59,8 @@ class Material:
     subsurface: Subsurface | str | None = None
     millimetres: float | int | None = None
     notes: tuple[str, ...] = ()
+    detail: Detail | None = None
+    """What the pictures of a file say of it between vertices; see `file_material`."""
 
     def __post_init__(self) -> None:
         if isinstance(self.gloss, str):

@@ -28,7 +28,6 @@ LEFT = {
     "map_ke": "emission",
     "map_bump": "bump map",
     "bump": "bump map",
-    "norm": "normal map",
     "disp": "displacement",
     "refl": "reflection map",
     "ps": "sheen",
@@ -112,6 +111,8 @@ def _paint(source: Path, name: str, lines: list[list[str]]) -> Paint:
         exponent = max(number("ns") or 0.0, 0.0)
         # The square of roughness is the width.
         roughness = (2 / (exponent + 2)) ** 0.25
+    # Exporters write normal maps under these two names; the height maps of map_Bump are left.
+    normal = entries.get("norm") or entries.get("map_kn")
     left = [word for key, word in LEFT.items() if key in entries]
     if any(colour("ke") or ()):
         left.append("emission")
@@ -125,12 +126,13 @@ def _paint(source: Path, name: str, lines: list[list[str]]) -> Paint:
         metallic=metallic or 0.0,
         roughness=1.0 if roughness is None else roughness,
         reflectance=reflectance,
+        normal_map=_map(source, normal, srgb=False) if normal else None,
         left=tuple(dict.fromkeys(left)),
         notes=tuple(notes),
     )
 
 
-def _map(source: Path, words: list[str]) -> Map | None:
+def _map(source: Path, words: list[str], srgb: bool = True) -> Map | None:
     """The map that these words name, with its options."""
     scale, offset, clamp = [1.0, 1.0], [0.0, 0.0], False
     at = 0
@@ -149,11 +151,16 @@ def _map(source: Path, words: list[str]) -> Map | None:
         if target is not None:
             target[: len(values[:2])] = values[:2]
     name = " ".join(words[at:])
-    return picture_map(_beside(source, name), scale, offset, "clamp" if clamp else "repeat") if name else None
+    wrap = "clamp" if clamp else "repeat"
+    return picture_map(_beside(source, name), scale, offset, wrap, srgb) if name else None
 
 
 def picture_map(
-    path: Path, scale: Sequence[float] = (1, 1), offset: Sequence[float] = (0, 0), wrap: str = "repeat"
+    path: Path,
+    scale: Sequence[float] = (1, 1),
+    offset: Sequence[float] = (0, 0),
+    wrap: str = "repeat",
+    srgb: bool = True,
 ) -> Map:
     """The map of a picture file whose rows run up with v."""
     # v of the lower edge is 0 there and 1 where pictures are looked up.
@@ -164,7 +171,7 @@ def picture_map(
             raise InputError(f"the picture {path.name} is not there")
         return check_readable(path).read_bytes()
 
-    return Map(Picture(path.name, read), srgb=True, matrix=matrix, wrap=(wrap, wrap))
+    return Map(Picture(path.name, read), srgb, matrix=matrix, wrap=(wrap, wrap))
 
 
 def _beside(source: Path, name: str) -> Path:

@@ -4,9 +4,8 @@ import warnings
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from torchprt.errors import InputError
 from torchprt.words import count
@@ -121,26 +120,6 @@ class Object:
     def two_sided(self) -> Bool[Tensor, "V"]:
         """Which vertices record on their reverse as well."""
         return self.material.two_sided_of(self.mesh)
-
-    def albedo_at(self, face: Int64[Tensor, "E"], weights: Float[Tensor, "E 3"]) -> Float32[Tensor, "E C"]:
-        """Albedo at points of faces, with the weights of their three corners."""
-        return self._between(self.albedo, face, weights)
-
-    def specular_at(self, face: Int64[Tensor, "E"], weights: Float[Tensor, "E 3"]) -> Float32[Tensor, "E C"]:
-        """Weight of the gloss there."""
-        return self._between(self.specular, face, weights)
-
-    def gloss_at(self, face: Int64[Tensor, "E"], weights: Float[Tensor, "E 3"]) -> Int64[Tensor, "E"]:
-        """Which gloss lies there, that of the nearest corner; -1 for none."""
-        nearest = self.mesh.faces[face].gather(1, weights.argmax(1, keepdim=True))[:, 0]
-        return self.gloss_of_vertex[nearest]
-
-    def normal_at(self, face: Int64[Tensor, "E"], weights: Float[Tensor, "E 3"]) -> Float64[Tensor, "E 3"]:
-        """Unit normals there; zero where those of the corners cancel or are missing."""
-        return normalize(self._between(self.mesh.normals, face, weights), dim=-1)
-
-    def _between(self, values: Float[Tensor, "V D"], face: Tensor, weights: Tensor) -> Float[Tensor, "E D"]:
-        return (values[self.mesh.faces[face]] * weights[..., None].to(values.dtype)).sum(1)
 
     @property
     def glossy(self) -> bool:

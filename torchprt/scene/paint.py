@@ -32,6 +32,11 @@ class Paint:
     reflectance: Colour = (0.04, 0.04, 0.04)
     """Of what is not metallic, seen along the normal; zero for none."""
     two_sided: bool = False
+    normal_map: Map | None = None
+    """The normal in the tangent frame of its texture coordinates, as glTF has it: x along u, y up the picture, z out,
+    from -1 to 1 over red, green and blue."""
+    normal_scale: float = 1.0
+    """What its x and y are multiplied by."""
     left: tuple[str, ...] = ()
     """What it has besides, and no bake takes."""
     notes: tuple[str, ...] = ()

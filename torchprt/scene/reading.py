@@ -48,6 +48,8 @@ class Raw(NamedTuple):
     """The materials of the whole file, read when they are asked for; the last is that of faces without any."""
     tint: np.ndarray | None = None
     """What the materials are multiplied by at every vertex, linear [V, 3]; None for 1."""
+    handed: np.ndarray | None = None
+    """Of each vertex with a tangent of the file 1 or -1, which normal x tangent is multiplied by; 0 without."""
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -184,6 +186,7 @@ def _join(pieces: list[Raw]) -> Raw:
         tuple(note for piece in pieces for note in piece.notes),
         pieces[0].paints,
         None if all(piece.tint is None for piece in pieces) else _tint(pieces),
+        None if all(piece.handed is None for piece in pieces) else _handed(pieces),
     )
 
 
@@ -194,6 +197,10 @@ def _materials(pieces: list[Raw]) -> np.ndarray:
 
 def _tint(pieces: list[Raw]) -> np.ndarray:
     return np.concatenate([np.ones_like(p.positions) if p.tint is None else p.tint for p in pieces])
+
+
+def _handed(pieces: list[Raw]) -> np.ndarray:
+    return np.concatenate([np.zeros(len(p.positions)) if p.handed is None else p.handed for p in pieces])
 
 
 def _more_uv(pieces: list[Raw], number: int) -> np.ndarray:
@@ -355,6 +362,7 @@ def _raw(piece: Piece) -> Raw:
         np.full(len(faces), -1 if piece.material is None else piece.material),
         corners,
         tint=None if piece.colours is None else piece.colours[:, :3],
+        handed=piece.handed,
     )
 
 

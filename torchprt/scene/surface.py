@@ -174,50 +174,67 @@ def texture_albedo(mesh: Mesh, texels: UInt8[np.ndarray, "H W 3"], wrap: str = "
     return torch.from_numpy(surface.look(gloss=False).diffuse).float()
 
 
-def _sums(
-    paint: Paint, faces: np.ndarray, areas: np.ndarray, count: int, raw: Raw, some: np.ndarray, gloss: bool
-) -> tuple[Float64[np.ndarray, "count 11"], list[str]]:
-    """What the faces `some` of one material add to the vertices around them, and what could not be taken."""
-    notes: list[str] = []
-    base = _open(paint, paint.colour_map, raw, some, notes)
-    shine = _open(paint, paint.gloss_map, raw, some, notes) if gloss else None
-    maps = [each for each in (base, shine) if each is not None]
-    factor = torch.tensor(paint.colour or (1.0, 1.0, 1.0))[:, None]
-    reflectance = torch.tensor(paint.reflectance)[:, None]
+class Painted:
+    """One material of a file on some faces, its pictures in memory.
 
-    def sample(which: np.ndarray, points: np.ndarray, level: Sequence[int]) -> Tensor:
-        number = len(which) * len(points)
-        looked = [
-            each.texture.at((torch.from_numpy(points) @ each.corners[which]).reshape(-1, 2), level[at])
-            for at, each in enumerate(maps)
-        ]
-        colour = looked[0] if base is not None else torch.ones(3, number)
-        shining = looked[-1] if shine is not None else torch.ones(3, number)
+    `maps` are the pictures that say how it reflects; `notes` what could not be taken, in sentences.
+    """
+
+    def __init__(self, paint: Paint, raw: Raw, some: Int64[np.ndarray, "f"], gloss: bool):
+        self.paint = paint
+        self.notes: list[str] = []
+        base = opened(paint, paint.colour_map, raw, some, self.notes)
+        shine = opened(paint, paint.gloss_map, raw, some, self.notes) if gloss else None
+        self.maps = [each for each in (base, shine) if each is not None]
+        self._base, self._shine, self._gloss = base is not None, shine is not None, gloss
+        self._factor = torch.tensor(paint.colour or (1.0, 1.0, 1.0))[:, None]
+        self._reflectance = torch.tensor(paint.reflectance)[:, None]
+
+    def at(self, uv: Sequence[Float32[Tensor, "n 2"]], level: Sequence[int], number: int) -> Float32[Tensor, "11 n"]:
+        """What lies at `number` points, where they are in each of the `maps`, these made smaller `level` times.
+
+        All is multiplied by what is seen of it, which stands last: where it is transparent it has no part in a mean.
+        """
+        paint = self.paint
+        looked = [each.texture.at(uv[at], level[at]) for at, each in enumerate(self.maps)]
+        colour = looked[0] if self._base else torch.ones(3, number)
+        shining = looked[-1] if self._shine else torch.ones(3, number)
         seen = torch.ones(number)
         if paint.alpha != "OPAQUE" and len(colour) == 4:
             seen = colour[3] if paint.alpha == "BLEND" else (colour[3] >= paint.cutoff).float()
             # Where nothing is seen, all is: better than a division by nothing.
             seen = seen + 1e-6
-        metallic = paint.metallic * shining[2] if gloss else torch.zeros(number)
-        colour = colour[:3] * factor * seen
+        metallic = paint.metallic * shining[2] if self._gloss else torch.zeros(number)
+        colour = colour[:3] * self._factor * seen
         roughness = (paint.roughness * shining[1] * seen)[None]
         return torch.cat(
             [
                 colour * (1 - metallic),
                 colour * metallic,
-                reflectance * (1 - metallic) * seen,
+                self._reflectance * (1 - metallic) * seen,
                 roughness,
                 seen[None],
             ]
         )
 
-    if maps:
-        texels = [each.uv * each.texture.size for each in maps]
-        return surface_means(faces, areas, count, texels, sample, WIDTH), notes
+
+def _sums(
+    paint: Paint, faces: np.ndarray, areas: np.ndarray, count: int, raw: Raw, some: np.ndarray, gloss: bool
+) -> tuple[Float64[np.ndarray, "count 11"], list[str]]:
+    """What the faces `some` of one material add to the vertices around them, and what could not be taken."""
+    painted = Painted(paint, raw, some, gloss)
+
+    def sample(which: np.ndarray, points: np.ndarray, level: Sequence[int]) -> Tensor:
+        uv = [(torch.from_numpy(points) @ each.corners[which]).reshape(-1, 2) for each in painted.maps]
+        return painted.at(uv, level, len(which) * len(points))
+
+    if painted.maps:
+        texels = [each.uv * each.texture.size for each in painted.maps]
+        return surface_means(faces, areas, count, texels, sample, WIDTH), painted.notes
     # All the same everywhere.
-    values = sample(np.zeros(1, int), np.ones((1, 3), np.float32), ())[:, 0].double().numpy()
+    values = painted.at([], (), 1)[:, 0].double().numpy()
     weight = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), minlength=count)
-    return weight[:, None] * values, notes
+    return weight[:, None] * values, painted.notes
 
 
 class Opened(NamedTuple):
@@ -228,7 +245,8 @@ class Opened(NamedTuple):
     corners: Tensor
 
 
-def _open(paint: Paint, given: Map | None, raw: Raw, some: np.ndarray, notes: list[str]) -> Opened | None:
+def opened(paint: Paint, given: Map | None, raw: Raw, some: np.ndarray, notes: list[str]) -> Opened | None:
+    """A picture of a material on the faces `some`; None, and why, if it cannot be had."""
     if given is None:
         return None
     uv = raw.uv if given.set == 0 else raw.more_uv.get(given.set)

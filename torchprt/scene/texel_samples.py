@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ from torchprt.errors import InputError
 from torchprt.words import count
 
 from .charts import Charts, charts_of
+from .energy import EnergyWarning
+from .finish import Finish
 from .geometry import Geometry, distinct
 from .glosses import Glosses
 from .lightmap import Lightmap
@@ -87,7 +90,7 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     # Samples beyond a seam are of another chart.
     chart_of_texel = chart[raster.face[:, 0]]
     raster = with_seams(raster, beyond, chart, lightmap.rows, lightmap.columns, lightmap.across)
-    samples = _Samples(objects, geometry, raster)
+    samples = _Samples(objects, geometry, raster, uv * size)
     return TexelSamples(
         lightmap,
         samples.points(),
@@ -99,7 +102,7 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
         torch.from_numpy(chart),
         torch.from_numpy(uv),
         beyond,
-        tuple(notes),
+        (*notes, *samples.notes),
     )
 
 
@@ -133,7 +136,9 @@ def _notes(objects: Sequence[Object], raster: Raster, uv: np.ndarray, chart: np.
 class _Samples:
     """What is at the samples of all texels, object by object."""
 
-    def __init__(self, objects: Sequence[Object], geometry: Geometry, raster: Raster):
+    def __init__(self, objects: Sequence[Object], geometry: Geometry, raster: Raster, corners: np.ndarray):
+        """`corners [F, 3, 2]`: of all faces, in texels of the map."""
+        self.notes: list[str] = []
         texels, per = raster.face.shape
         self.channels = 3 if any(each.coloured for each in objects) else 1
         self.positions = torch.zeros(texels, 3, dtype=torch.float64)
@@ -147,13 +152,21 @@ class _Samples:
         of_texel = np.searchsorted(starts, raster.face[:, 0], side="right") - 1
         for number, each in enumerate(objects):
             mine = np.flatnonzero(of_texel == number)
+            if not len(mine):
+                continue
+            finish = Finish(each)
+            pitch = _pitch(each, corners[starts[number] : starts[number + 1]]) / per**0.5
             for some in np.array_split(mine, len(mine) * per // BLOCK + 1):
                 if len(some):
                     face = torch.from_numpy(raster.face[some].astype(np.int64) - starts[number])
-                    self._fill(each, torch.from_numpy(some), face, torch.from_numpy(raster.weights[some]))
+                    weights = torch.from_numpy(raster.weights[some])
+                    self._fill(finish, torch.from_numpy(some), face, weights, pitch[face])
+            self.notes += finish.notes
 
-    def _fill(self, object: Object, rows: Tensor, face: Tensor, weights: Tensor) -> None:
-        """The texels `rows` of one object: `face [v, S]` of its own, `weights [v, S, 3]` of their corners."""
+    def _fill(self, finish: Finish, rows: Tensor, face: Tensor, weights: Tensor, side: Tensor) -> None:
+        """The texels `rows` of one object: `face [v, S]` of its own, `weights [v, S, 3]` of their corners, and how long
+        a side of what each stands for is on the surface."""
+        object = finish.object
         mesh, shape = object.mesh, face.shape
         # They must sum to 1 exactly, or a mesh far from the origin leaves its own planes.
         second, third = weights[..., 1].double(), weights[..., 2].double()
@@ -161,16 +174,16 @@ class _Samples:
         corners = mesh.positions[mesh.faces[face]]
         places = (corners * weights[..., None]).sum(-2)
         flat, shares = face.flatten(), weights.flatten(0, 1)
-        normals = object.normal_at(flat, shares).unflatten(0, shape)
+        normals = finish.normals(flat, shares, side.flatten()).unflatten(0, shape)
         self.positions[rows] = places.mean(1)
         self.normals[rows] = _mean_direction(normals)
         self.origins[rows] = _smoothed(places, corners, mesh.normals[mesh.faces[face]], weights)
         self.extent[rows] = (corners.amax(-2) - corners.amin(-2)).amax((-1, -2))
-        self.albedo[rows] = object.albedo_at(flat, shares).unflatten(0, shape).mean(1).expand(-1, 3)
+        made = finish.reflecting(face, weights, side)
+        self.albedo[rows] = made.albedo.expand(-1, 3)
         if object.glossy:
-            self.specular[rows] = object.specular_at(flat, shares).unflatten(0, shape).mean(1).expand(-1, 3)
-            own = self._numbers(object.material.glosses)
-            gloss = object.gloss_at(face[:, 0], weights[:, 0])
+            self.specular[rows] = made.specular.expand(-1, 3)
+            own, gloss = self._numbers(object.material.glosses), made.gloss
             self.gloss[rows] = torch.where(gloss >= 0, own[gloss.clamp(min=0)], -1)
             along = (mesh.tangent_field[mesh.faces[face]] * weights[..., None]).sum((-2, -3))
             turned = orthogonal(along.numpy(), self.normals[rows].numpy())
@@ -186,14 +199,29 @@ class _Samples:
     def points(self) -> Points:
         """All texels as receivers."""
         glosses = Glosses(self.models, self.gloss) if self.models and bool((self.gloss >= 0).any()) else None
-        return Points(
-            self.positions,
-            self.normals,
-            albedo=_narrow(self.albedo),
-            gloss=glosses,
-            specular=1.0 if glosses is None else _narrow(self.specular),
-            tangents=self.tangents,
-        )
+        with warnings.catch_warnings():
+            # What is to be said of the energy has been said of the materials.
+            warnings.simplefilter("ignore", EnergyWarning)
+            return Points(
+                self.positions,
+                self.normals,
+                albedo=_narrow(self.albedo),
+                gloss=glosses,
+                specular=1.0 if glosses is None else _narrow(self.specular),
+                tangents=self.tangents,
+            )
+
+
+def _pitch(object: Object, corners: Float64[np.ndarray, "F 3 2"]) -> Float64[Tensor, "F"]:
+    """How long a side of a texel is on each face of a surface; `corners`: in texels."""
+    places = object.mesh.positions.numpy()[object.mesh.faces.numpy()]
+    one, other = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    texels = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    area = np.linalg.norm(np.cross(one, other), axis=1)
+    # Of a face without area on the map nothing is known.
+    side = np.sqrt(np.divide(area, texels, out=np.zeros_like(area), where=texels > 0))
+    return torch.from_numpy(side)
 
 
 def _narrow(values: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V C"]:

@@ -160,7 +160,7 @@ def lightmapped(scene: Scene, geometry: Geometry, lightmap: Lightmap, numbers: i
 
 
 # Bytes of a sample of a map while it is rasterised, of a texel, and of one of its samples, as measured.
-_MAP, _TEXEL, _SAMPLE = 12, 700, 160
+_MAP, _TEXEL, _SAMPLE = 42, 700, 160
 
 
 def with_sight(texels: Lightmapped, tracer: Tracer, receivers: Receivers) -> tuple[Receivers, Validity]:
