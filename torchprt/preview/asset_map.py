@@ -203,9 +203,7 @@ class _Mapped:
         return self._unlit[number, coordinates]
 
 
-def _same_uv(
-    values: Float[np.ndarray, "V 2"], faces: Int[np.ndarray, "F 3"], uv: Float[np.ndarray, "F 3 2"]
-) -> bool:
+def _same_uv(values: Float[np.ndarray, "V 2"], faces: Int[np.ndarray, "F 3"], uv: Float[np.ndarray, "F 3 2"]) -> bool:
     """Whether a set of texture coordinates of a file is what its faces have on the map."""
     return np.array_equal(values[faces].astype("<f4"), uv)
 
