@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "export" / "blender"))
 import torchprt_blender as addon
 
 SIZE = (480, 360)
-SAMPLES = 128
+SAMPLES = 96
 
 
 def with_nodes(block):
@@ -93,10 +93,10 @@ def world(path):
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     phi, theta = -(u - 0.5) * 2 * np.pi, (v - 0.5) * np.pi
     toward = np.stack([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), np.sin(theta)], -1)
-    sun = np.array([0.75, -0.5, 0.55])
-    glow = np.exp(14 * (toward @ (sun / np.linalg.norm(sun)) - 1))[..., None]
+    sun = np.array([0.95, -0.3, 0.75])
+    glow = np.exp(20 * (toward @ (sun / np.linalg.norm(sun)) - 1))[..., None]
     pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = 0.25 * np.array([0.45, 0.65, 1.0]) * (0.4 + 0.6 * np.clip(toward[..., 2:], 0, 1)) + 9 * glow * [
+    pixels[..., :3] = 0.25 * np.array([0.45, 0.65, 1.0]) * (0.4 + 0.6 * np.clip(toward[..., 2:], 0, 1)) + 14 * glow * [
         1,
         0.72,
         0.42,
@@ -138,6 +138,10 @@ def drawn(path, samples):
     scene.render.image_settings.file_format = "PNG"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
+    return read(path)
+
+
+def read(path):
     image = bpy.data.images.load(str(path))
     pixels = np.empty(4 * SIZE[0] * SIZE[1], np.float32)
     image.pixels.foreach_get(pixels)
@@ -153,9 +157,9 @@ def main(folder):
     courtyard()
     world(kept / "evening.exr")
     camera()
-    traced = drawn(kept / "cycles.png", SAMPLES)
+    traced = read(kept / "cycles.png") if (kept / "cycles.png").exists() else drawn(kept / "cycles.png", SAMPLES)
     settings = context.scene.torchprt
-    settings.folder, settings.where, settings.size = str(kept), "TEXELS", 1024
+    settings.folder, settings.where, settings.size = str(kept), "TEXELS", 512
     settings.order, settings.rays = 10, 256
     light = settings.lights.add()
     light.name = "Evening"
