@@ -120,7 +120,9 @@ def test_what_bands_cost_is_told_of_attributes(make_transfer, tmp_path, no_npm):
     assert report.error > 1e-3
     assert report.transfer_bytes == 0
     assert not (tmp_path / "scene" / "transfer.bin").exists()
-    whole = web.export_three(transfer, tmp_path / "scene", environments=LAMPS)
+    whole = web.export_three(transfer, tmp_path / "scene", environments=LAMPS, title="<b>@about & so</b>")
+    page = (tmp_path / "scene" / "index.html").read_text()
+    assert "<title>&lt;b&gt;@about &amp; so&lt;/b&gt;</title>" in page
     assert whole.transfer_bytes == (tmp_path / "scene" / "transfer.bin").stat().st_size
     assert whole.bytes == sum(path.stat().st_size for path in (tmp_path / "scene").rglob("*") if path.is_file())
     assert "off by" in str(whole)

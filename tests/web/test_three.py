@@ -1,6 +1,9 @@
 """Does the module for three.js draw, in a real browser, what torch computes: every pixel to 2 parts in 255?"""
 
 import json
+import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from torchprt.transfer import Dense, Diffuse, Transfer
 from torchprt.transfer.atlas import Atlas, bilinear
 
 PIXELS = 192
+BY_ATTRIBUTES = ("attributes", "leaf3")
 # Of half precision (2^-11 a number), for sums of 25 numbers whose signs cancel.
 HALF = 3e-3
 # What a shader does after the numbers are read: sums of 25 products in float32.
@@ -96,6 +100,21 @@ def write_limb(path):
     return made.save(path), torch.from_numpy(weights[:, :2]).double()
 
 
+def write_leaf(path, side=12):
+    """A bent sheet whose material has two sides."""
+    ticks = np.linspace(-1, 1, side)
+    x, z = (each.ravel() for each in np.meshgrid(ticks, ticks))
+    normals = np.stack([-1.2 * np.cos(2 * x), np.ones_like(x), np.zeros_like(x)], -1)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate([corner, corner + side, corner + 1, corner + 1, corner + side, corner + side + 1])
+    faces = faces.reshape(2, 3, -1).transpose(0, 2, 1)
+    made = Gltf(scene=0, scenes=[{"nodes": [0]}], nodes=[{"mesh": 0}], materials=[{"doubleSided": True}])
+    unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    primitive = made.primitive(faces.reshape(-1), POSITION=np.stack([x, 0.6 * np.sin(2 * x), z], -1), NORMAL=unit)
+    made.tree["meshes"] = [{"primitives": [{**primitive, "material": 0}]}]
+    return made.save(path)
+
+
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory) -> dict[str, Transfer]:
     """What is drawn, by name."""
@@ -110,7 +129,10 @@ def cases(tmp_path_factory) -> dict[str, Transfer]:
     )
     atlas = atlas_of()
     mapped = Diffuse(albedo=torch.full((1, 1), 0.7), signal=Dense(values=smooth_vectors(1, 3, atlas.positions, 0.5)))
+    leaf = bake(load(write_leaf(tmp_path_factory.mktemp("leaf") / "leaf.glb")), order=4, rays=64, progress=False)
     return {
+        "leaf": leaf,
+        "leaf3": leaf,
         "attributes": plane,
         "dense": plane,
         "colours": plane.with_layers(diffuse=Diffuse(albedo=albedo, signal=Dense(values=coloured))),
@@ -126,8 +148,8 @@ def cases(tmp_path_factory) -> dict[str, Transfer]:
 def site(libraries, cases, tmp_path_factory):
     folder = tmp_path_factory.mktemp("three")
     for name, transfer in cases.items():
-        order = 3 if name == "attributes" else None
-        asset = preview.find_asset(transfer)[0] if name == "lobes" else None
+        order = 3 if name in BY_ATTRIBUTES else None
+        asset = preview.find_asset(transfer)[0] if name in ("lobes", "leaf", "leaf3") else None
         options = {"order": order, "asset": asset, "exact": name == "packed", "environments": LAMPS}
         web.export_three(transfer, folder / name, check=False, **options)
     packed = compress(cases["exit"], clusters=4, components=6)
@@ -162,7 +184,7 @@ it.module = await import("./torchprt.js");
 it.loader = new GLTFLoader();
 it.load = async (name) => {
   const { loadPRT, loadPRTAttributes } = it.module;
-  if (name === "attributes") return loadPRTAttributes("../attributes/model.glb", it.loader);
+  if (["attributes", "leaf3"].includes(name)) return loadPRTAttributes(`../${name}/model.glb`, it.loader);
   return loadPRT(`../${name}/`, it.loader);
 };
 /** Pixels of an object under a camera of Python, as bytes in a string. */
@@ -253,6 +275,45 @@ def test_the_example_runs_from_a_plain_folder_and_asks_nothing_of_others(tab):
     assert not [name for name in names if "onnx" in name or "ort." in name or "wasm" in name]
 
 
+OWN = """<!doctype html><link rel="icon" href="data:,"><body><script type="importmap">
+{"imports": {"three": "./scene/libraries/three.module.min.js", "three/addons/": "./scene/libraries/"}}
+</script><script type="module">
+import * as THREE from "three";
+const renderer = new THREE.WebGLRenderer();
+document.body.append(renderer.domElement);
+const scene = new THREE.Scene();
+const camera = new THREE.PerspectiveCamera(40, 1, 0.1, 100);
+camera.position.set(0, 4, 6);
+camera.lookAt(0, 0, 0);
+CODE
+const drawn = new Uint8Array(4);
+renderer.render(scene, camera);
+const gl = renderer.getContext();
+gl.readPixels(150, 75, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, drawn);
+window.torchprt = { drawn: [...drawn], frames: renderer.info.render.frame };
+document.body.dataset.ready = "yes";
+</script>"""
+
+
+def test_the_lines_of_the_docs_run_in_a_scene_of_ones_own(browser, site):
+    text = (Path(__file__).parents[2] / "docs" / "gpu.md").read_text()
+    code = re.search(r"```js\n(.*?)```", text, re.DOTALL)[1]
+    assert len(code.strip().splitlines()) <= 12
+    (site / "own").mkdir()
+    shutil.copytree(site / "dense", site / "own" / "scene")
+    (site / "own" / "index.html").write_text(
+        OWN.replace("CODE", code + "await new Promise((done) => setTimeout(done, 300));")
+    )
+    with at(site) as root:
+        page = browser.new_page(viewport=SIZE)
+        tab = Visit(page).open(f"{root}/own/")
+        assert tab.complaints == []
+        drawn, frames = tab.ask("return [it.drawn, it.frames];")
+        page.close()
+    assert frames > 1
+    assert min(drawn[:3]) > 30
+
+
 @pytest.mark.parametrize("name", ["attributes", "dense", "colours", "clustered", "exit", "packed"])
 def test_every_pixel_is_that_of_torch(tab, cases, name):
     transfer = cases[name].to_order(3) if name == "attributes" else cases[name]
@@ -273,6 +334,50 @@ def test_every_pixel_is_that_of_torch(tab, cases, name):
         size = float(expected.abs().max())
         np.testing.assert_allclose(radiance, shader(read).double()(lamp, **seen), rtol=0, atol=16 * CLOSE * size)
         assert np.abs(radiance - expected.numpy()).max() < HALF * size
+
+
+@pytest.mark.parametrize("name", ["leaf", "leaf3"])
+@pytest.mark.parametrize("height", [3.0, -3.0])
+def test_both_sides_of_a_sheet_show_what_each_recorded(tab, cases, name, height):
+    transfer = cases[name].to_order(3) if name in BY_ATTRIBUTES else cases[name]
+    assert {each["side"] for each in transfer.receivers.objects} == {"front", "back"}
+    camera = Camera((0.4, height, 0.3), (0.0, 0.0, 0.0), field=45.0)
+    found, _ = draw(tab, name, camera)
+    lamp = sh.rotate(LIGHT[: transfer.order**2].double(), TURN) * 0.3
+    check_pixels(found, transfer.positions, transfer.faces, shader(transfer).double()(lamp), camera)
+
+
+def test_a_model_that_is_moved_turned_and_scaled_stays_in_the_light_and_under_the_eye_of_the_world(tab, cases):
+    transfer = cases["exit"]
+    whole = sh.yaw_pitch_roll(torch.tensor([50.0, -20, 130], dtype=torch.float64))
+    place, eye = torch.tensor([1.0, 2, -3]).double(), torch.tensor([2.0, 4, 1]).double()
+    found = tab.ask(f"""
+        const model = await it.load("exit");
+        [model.light] = await it.module.loadLights("../sky.npy");
+        model.light.quaternion.copy(it.turn({flat(TURN)}));
+        model.object.quaternion.copy(it.turn({flat(whole)}));
+        model.object.scale.setScalar(2);
+        model.object.position.set(...{flat(place)});
+        const camera = new it.THREE.PerspectiveCamera();
+        camera.position.set(...{flat(eye)});
+        model.update(it.renderer, camera);
+        const first = Array.from(model.shading.read(it.renderer));
+        // Nothing moved, so nothing is drawn; then only the eye does.
+        const again = model.shading.render(it.renderer, model.shading.light, model.shading.eye);
+        camera.position.x += 1;
+        model.update(it.renderer, camera);
+        const second = Array.from(model.shading.read(it.renderer));
+        model.dispose();
+        return [first, second, again];
+    """)
+    assert found[2] is False
+    lamp = sh.rotate(sh.rotate(LIGHT[:9].double(), TURN), whole.T)
+    read = shader(web.shader_file(transfer).transfer).double()
+    for values, step in zip(found[:2], (0.0, 1.0), strict=True):
+        there = whole.T @ (eye + torch.tensor([step, 0, 0]) - place) / 2
+        expected = read(lamp, eye=there)
+        size = float(expected.abs().max())
+        np.testing.assert_allclose(np.reshape(values, (-1, 3)), expected, rtol=0, atol=16 * CLOSE * size)
 
 
 def test_a_map_is_read_between_its_texels_and_in_its_gutters(tab, cases):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import re
@@ -149,10 +150,9 @@ def export_three(
             _save_model(transfer, new / MODEL, asset)
         (new / "lights.json").write_text(json.dumps(_lights(lights, coefficients, transfer.order)), encoding="utf-8")
         camera = preview.frame(preview.subject(transfer.receivers), aspect=1.0)
-        about = {"title": title, "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field}}
-        page = _text("gpu/index.html")
-        for key, value in {"@title": title, "@about": json.dumps(about), "@load": _load(made is None)}.items():
-            page = page.replace(key, value)
+        about = {"camera": {"eye": camera.eye, "target": camera.target, "field": camera.field}}
+        said = {"title": html.escape(title), "about": json.dumps(about), "load": _load(made is None)}
+        page = re.sub(r"@(title|about|load)\b", lambda found: said[found[1]], _text("gpu/index.html"))
         (new / "index.html").write_text(page, encoding="utf-8")
     sizes = {path.relative_to(target).as_posix(): path.stat().st_size for path in target.rglob("*") if path.is_file()}
     stored = sizes.get(TRANSFER, 0)
