@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -46,7 +47,13 @@ class Raster:
 
 
 def with_seams(
-    raster: Raster, beyond: Seams, chart: Int[np.ndarray, "F"], rows: int, columns: int, across: int
+    raster: Raster,
+    beyond: Seams,
+    uv: Float[np.ndarray, "F 3 2"],
+    chart: Int[np.ndarray, "F"],
+    rows: int,
+    columns: int,
+    across: int,
 ) -> Raster:
     """The same whose samples beside a chart lie on the surface beyond its seams, where it goes on there: so that what a
     texel holds is of its middle also on the border of a chart. `beyond`: in texels, as far as 1."""
@@ -63,16 +70,46 @@ def with_seams(
     mine = (raster.texel[at] == texel) & ~raster.own[at, slot]
     mine &= chart[raster.face[at, 0]] == chart[beyond.face[which]]
     at, slot, which, shares = at[mine], slot[mine], which[mine], shares[mine]
+    place = (beyond.place[which] * shares[..., None]).sum(1)
+    other, there = _met(raster, place, uv * size, chart, beyond.other[which], rows, columns, across)
     face, weights, own = raster.face.copy(), raster.weights.copy(), raster.own.copy()
-    face[at, slot] = beyond.other[which]
-    there = (beyond.weights[which] * shares[..., None]).sum(1).clip(min=0)
-    weights[at, slot] = there / there.sum(1, keepdims=True)
+    face[at, slot] = other
+    weights[at, slot] = there
     own[at, slot] = True
     changed = np.unique(at)
     chosen = instead(own[changed])
     face[changed] = np.take_along_axis(face[changed], chosen, axis=1)
     weights[changed] = np.take_along_axis(weights[changed], chosen[..., None], axis=1)
     return Raster(raster.texel, face, weights, own, raster.twice, raster.lost)
+
+
+def _met(
+    raster: Raster,
+    place: Float[np.ndarray, "E 2"],
+    corners: Float[np.ndarray, "F 3 2"],
+    chart: Int[np.ndarray, "F"],
+    other: Int[np.ndarray, "E"],
+    rows: int,
+    columns: int,
+    across: int,
+) -> tuple[Int[np.ndarray, "E"], Float[np.ndarray, "E 3"]]:
+    """The faces that lie at places of the map (in texels), or nearest to them, and the weights of their corners there:
+    `other`, or one that a sample nearby is of, of the same chart. A face that is thin is left at once."""
+    cell = np.floor(place * across).astype(np.int64)
+    last = np.array([columns * across - 1, rows * across - 1])
+    result = other.copy()
+    weights, nearest = _nearest(corners[other], place)
+    for step in itertools.product((0, -1, 1), repeat=2):
+        column, row = (cell + step).clip(0, last).T
+        texel, slot = row // across * columns + column // across, row % across * across + column % across
+        at = np.searchsorted(raster.texel, texel).clip(max=len(raster.texel) - 1)
+        face = raster.face[at, slot]
+        some = np.flatnonzero((raster.texel[at] == texel) & raster.own[at, slot] & (chart[face] == chart[other]))
+        there, away = _nearest(corners[face[some]], place[some])
+        nearer = away < nearest[some]
+        some, there, away = some[nearer], there[nearer], away[nearer]
+        result[some], weights[some], nearest[some] = face[some], there, away
+    return result, weights
 
 
 def rasterise(

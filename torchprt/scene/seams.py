@@ -20,19 +20,18 @@ class Seams:
     """Triangles on a map beyond the seams of its charts, and the surface that lies there, unfolded about the seam.
 
     Of each of T triangles: `uv [T, 3, 2]`, where its corners are beside the chart; `face [T]`, the face on this side;
-    `other [T]`, the face beyond; `weights [T, 3, 3]`, the weights of the corners of that at each corner; `place
-    [T, 3, 2]`, where that puts it on the map. All are linear over the triangle; lengths on the surface are kept.
+    `other [T]`, the face beyond; `place [T, 3, 2]`, where the surface of that is on the map, linear over the triangle.
+    Lengths on the surface are kept.
     """
 
     uv: Float[np.ndarray, "T 3 2"]
     face: Int[np.ndarray, "T"]
     other: Int[np.ndarray, "T"]
-    weights: Float[np.ndarray, "T 3 3"]
     place: Float[np.ndarray, "T 3 2"]
 
     def take(self, chosen: Bool[np.ndarray, "T"]) -> Seams:
         """Those that are chosen."""
-        return Seams(*(part[chosen] for part in (self.uv, self.face, self.other, self.weights, self.place)))
+        return Seams(*(part[chosen] for part in (self.uv, self.face, self.other, self.place)))
 
 
 def seams(
@@ -50,13 +49,11 @@ def seams(
     of each depth once more as much longer, which fills the gaps where a border turns.
     """
     face, corner, other, other_corner = _pairs(positions, faces, normals, uv)
-    outward, _, _ = _outward(positions, faces, uv, face, corner)
-    inward, other_share, other_height = _outward(positions, faces, uv, other, other_corner)
-    inward = -inward
+    outward = _outward(positions, faces, uv, face, corner)
+    inward = -_outward(positions, faces, uv, other, other_corner)
     a, b = uv[face, corner], uv[face, (corner + 1) % 3]
     # The other face runs along the edge the other way.
-    start, end = (other_corner + 1) % 3, other_corner
-    c, d = uv[other, start], uv[other, end]
+    c, d = uv[other, (other_corner + 1) % 3], uv[other, other_corner]
     along = b - a
     length = np.linalg.norm(along, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -64,15 +61,7 @@ def seams(
         # As far as `width`, at right angles to the edge on the map.
         sideways = outward - (outward * edge).sum(1, keepdims=True) * edge
         reach = width / np.linalg.norm(sideways, axis=1)
-        row = np.arange(len(face))
-        step = np.zeros((len(face), 3))
-        step[row, (other_corner + 2) % 3] = reach / other_height
-        # Its share is measured from where it starts itself, which is the end here.
-        step[row, end] -= (1 - other_share) * reach / other_height
-        step[row, start] -= other_share * reach / other_height
-    keep = np.isfinite(reach) & np.isfinite(step).all(1) & np.isfinite(inward).all(1)
-    first, last = np.zeros((len(face), 3)), np.zeros((len(face), 3))
-    first[row, start], last[row, end] = 1, 1
+    keep = np.isfinite(reach) & np.isfinite(inward).all(1)
     far = np.where(keep, reach, 0)[:, None]
     with np.errstate(divide="ignore"):
         more = np.where(keep, width / length[:, 0], 0)[:, None]
@@ -91,7 +80,6 @@ def seams(
         strips(a, b, far * outward),
         np.tile(face[keep], 4 * LEVELS),
         np.tile(other[keep], 4 * LEVELS),
-        strips(first, last, step),
         strips(c, d, far * inward),
     )
 
@@ -125,15 +113,16 @@ def _pairs(
 
 def _outward(
     positions: np.ndarray, faces: np.ndarray, uv: np.ndarray, face: np.ndarray, corner: np.ndarray
-) -> tuple[Float[np.ndarray, "s 2"], Float[np.ndarray, "s"], Float[np.ndarray, "s"]]:
-    """How the map moves by a unit of length out of a face, at right angles to an edge; how far along the edge its third
-    corner is (as a share of it), and how far inside. Not finite for faces without area."""
+) -> Float[np.ndarray, "s 2"]:
+    """How the map moves by a unit of length out of a face, at right angles to an edge; not finite for faces without
+    area."""
     order = (corner[:, None] + np.arange(3)) % 3
     p = np.take_along_axis(positions[faces[face]], order[..., None], axis=1)
     t = np.take_along_axis(uv[face], order[..., None], axis=1)
     edge, side = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = (side * edge).sum(1) / (edge * edge).sum(1)
-        height = np.linalg.norm(side - share[:, None] * edge, axis=1)
-        moved = -((t[:, 2] - t[:, 0]) - share[:, None] * (t[:, 1] - t[:, 0])) / height[:, None]
-    return moved, share, height
+        # The third corner is at `share` of the edge and `height` inside.
+        share = (side * edge).sum(1, keepdims=True) / (edge * edge).sum(1, keepdims=True)
+        height = np.linalg.norm(side - share * edge, axis=1, keepdims=True)
+        result: np.ndarray = -((t[:, 2] - t[:, 0]) - share * (t[:, 1] - t[:, 0])) / height
+    return result

@@ -89,7 +89,7 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     beyond = beyond.take(number[beyond.face] == number[beyond.other])
     # Samples beyond a seam are of another chart.
     chart_of_texel = chart[raster.face[:, 0]]
-    raster = with_seams(raster, beyond, chart, lightmap.rows, lightmap.columns, lightmap.across)
+    raster = with_seams(raster, beyond, uv, chart, lightmap.rows, lightmap.columns, lightmap.across)
     samples = _Samples(objects, geometry, raster, uv * size)
     return TexelSamples(
         lightmap,
