@@ -6,11 +6,20 @@ import os
 from typing import Protocol, runtime_checkable
 
 QUIET = "TORCHPRT_QUIET"
+PROGRESS = "TORCHPRT_PROGRESS"
 
 
 def quiet() -> bool:
     """Whether nothing is to be told but faults: the environment variable TORCHPRT_QUIET is set, and not to 0."""
     return os.environ.get(QUIET, "") not in ("", "0")
+
+
+def in_lines() -> bool:
+    """Whether programs listen: the environment variable TORCHPRT_PROGRESS is `lines`.
+
+    Bars are then lines on standard error, `diffuse 37%`, one for each per cent.
+    """
+    return os.environ.get(PROGRESS, "") == "lines"
 
 
 @runtime_checkable

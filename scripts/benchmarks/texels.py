@@ -20,7 +20,8 @@ import torch
 import trimesh
 
 from torchprt.scene import Lightmap, Object, Scene, make_mesh, read_mesh, samples
-from torchprt.scene.unwrap import pack, unwrap
+from torchprt.scene.pack import pack
+from torchprt.scene.unwrap import unwrap
 from torchprt.transfer import Transfer
 from torchprt.transport import bake
 

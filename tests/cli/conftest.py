@@ -117,7 +117,9 @@ def no_npm(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyP
     """Libraries that are only names."""
     export = importlib.import_module("torchprt.web.export")
     folder = tmp_path_factory.mktemp("libraries")
-    for name in export.LOADED:
+    three = importlib.import_module("torchprt.web.three")
+    for name in (*export.LOADED, *three.THREE):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(name)
     monkeypatch.setattr(export, "libraries", lambda: folder)
+    monkeypatch.setattr(three, "libraries", lambda: folder)

@@ -50,6 +50,7 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
         ("a.glb", [BALL]),
         ("lit.glb", ["cube.safetensors"]),
         ("page", [BALL, "--web", *LAMP]),
+        ("scene", [BALL, "--three", *LAMP]),
     ],
     "compress": [("a.safetensors", [BALL, "--clusters", "4"])],
     "plan": [("a.toml", ["ball.ply", *LAMP, "--order", "3", "--error", "20%"])],

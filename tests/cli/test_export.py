@@ -30,6 +30,10 @@ from torchprt.transfer import load
         (["-o", "page", "--web", "--light", "none.exr"], ["none.exr"]),
         (["-o", "page", "--web", "--compressed", "none.safetensors"], ["none.safetensors"]),
         (["-o", "a.gltf"], ["must end in", ".onnx", ".glb"]),
+        (["-o", "scene", "--three", "--web"], ["--web and --three"]),
+        (["-o", "scene", "--three", "--gpu"], ["--gpu", "--three"]),
+        (["-o", "a.glb", "--gpu"], ["--gpu", ".glb without --web"]),
+        (["-o", "scene", "--three", "--order", 5], ["order 5 is not between 1 and the 4"]),
     ],
 )
 def test_options_that_have_no_use_are_refused(refused, folder, tmp_path, monkeypatch, options, words):
@@ -42,6 +46,25 @@ def test_an_export_from_an_environment_says_so(done, folder, tmp_path, untyped):
     said = done("info", tmp_path / "b.onnx")
     assert "source: environment" in said
     assert "('B', 6, 4, 4, 3)" in said
+
+
+def test_a_scene_is_written_whose_bytes_and_losses_are_told(done, folder, tmp_path, no_npm):
+    save_exr(tmp_path / "north.exr", lamp((0.0, 0.0, -1.0)))
+    bake, light = folder / "ball.safetensors", ["--light", tmp_path / "north.exr"]
+    said = done("export", bake, "-o", tmp_path / "scene", "--three", *light)
+    assert "off by" in said
+    assert "bytes a receiver" in said
+    assert f"torchprt serve {tmp_path / 'scene'}" in said
+    names = {path.name for path in (tmp_path / "scene").iterdir()}
+    assert names == {"index.html", "lights.json", "libraries", "model.glb", "torchprt.js", "transfer.bin"}
+    (found,) = json.loads((tmp_path / "scene" / "lights.json").read_text())["environments"]
+    assert found["name"] == "north"
+    said = done("export", bake, "-o", tmp_path / "scene", "--three", "--order", 3, *light)
+    assert "transfer of order 3 in its attributes" in said
+    assert not (tmp_path / "scene" / "transfer.bin").exists()
+    said = done("export", bake, "-o", tmp_path / "page", "--web", "--gpu", *light)
+    assert "half precision" in said
+    assert (tmp_path / "page" / "transfer.bin.gz").exists()
 
 
 def test_a_page_is_written_with_the_lights_that_were_named(done, folder, tmp_path, no_npm, untyped):

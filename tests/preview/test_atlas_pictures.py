@@ -194,8 +194,11 @@ def test_vertices_at_seams_are_split_and_others_are_not():
     np.testing.assert_array_equal(vertex[corners], faces)
 
 
-def file_of_the_cube(path, welded):
-    """A glTF of the cube with a texture and its own texture coordinates, from vertices of one side or of all."""
+def file_of_the_cube(path, welded, mapped=False):
+    """A glTF of the cube with a texture and its own texture coordinates, from vertices of one side or of all.
+
+    `mapped`: the map is on its second set already, and a third follows.
+    """
     place = cube()
     positions, faces = place.mesh_positions.numpy(), place.mesh_faces.numpy().astype(np.int64)
     if welded:
@@ -204,8 +207,12 @@ def file_of_the_cube(path, welded):
     made = Gltf()
     alpha = made.accessor(np.full((len(positions), 4), 128, "u1"), normalized=True)
     own = np.linspace(0, 1, 2 * len(positions)).reshape(-1, 2)
+    sets = {"TEXCOORD_0": own}
+    if mapped:
+        sets |= {"TEXCOORD_1": np.zeros_like(own), "TEXCOORD_2": own}
+        sets["TEXCOORD_1"][faces] = place.mesh_uv.numpy()
     primitive = made.primitive(
-        faces.reshape(-1), POSITION=positions, TEXCOORD_0=own, COLOR_0=alpha, _ID=np.arange(len(positions), dtype="f4")
+        faces.reshape(-1), POSITION=positions, COLOR_0=alpha, _ID=np.arange(len(positions), dtype="f4"), **sets
     )
     made.tree |= {
         "scene": 0,
@@ -247,6 +254,20 @@ def test_the_file_that_was_baked_is_kept_with_the_map_as_a_set_more(welded, tmp_
     material = after.entry("materials", piece.material)
     assert (material["name"], material["doubleSided"]) == ("wood", True)
     assert after.tree["materials"][0] == before.tree["materials"][0]
+
+
+def test_the_set_that_it_was_baked_on_is_not_repeated(tmp_path):
+    """Some engines have two sets, and a copy would be a third or fourth."""
+    place = file_of_the_cube(tmp_path / "dice.glb", welded=False, mapped=True)
+    told = save_mapped_glb(
+        dataclasses.replace(lit_cube(), receivers=place), torch.rand(place.count, 3), tmp_path / "lit.glb"
+    )
+    assert told.endswith("the map is on TEXCOORD_1")
+    before, after = Document.read(tmp_path / "dice.glb"), Document.read(tmp_path / "lit.glb")
+    ((piece, uv, _),) = shown(after)
+    np.testing.assert_allclose(uv[piece.faces], place.mesh_uv, atol=1e-6)
+    assert sorted(piece.uv) == [0, 1, 2]
+    assert len(piece.positions) == len(pieces(before).pieces[0].positions)
 
 
 def test_a_file_of_other_faces_becomes_a_plain_mesh(tmp_path):

@@ -12,6 +12,8 @@ from textured_files import flat, gltf, noise, png, save_sheet, sheet, textured
 from torchprt.errors import InputError
 from torchprt.scene import Material, Object, load
 from torchprt.scene.finish import Finish
+from torchprt.scene.lightmap import Lightmap
+from torchprt.scene.texel_samples import texel_samples
 from torchprt.scene.texture import srgb_to_linear
 
 MIDDLE = torch.full((1, 1, 3), 1 / 3)
@@ -285,3 +287,23 @@ def test_a_map_without_texture_coordinates_or_picture_is_said_and_the_normals_st
     made = finish(tmp_path / "a.obj")
     assert normal_of(made) == [0, 0, 1]
     assert "no texture coordinates" in made.notes[0]
+
+
+# Maps
+
+
+@pytest.mark.parametrize("size", [16, 4])
+def test_a_texel_has_the_mean_of_the_picture_over_it(tmp_path, size):
+    texels = noise(16)
+    scene = load(save_sheet(tmp_path / "a.glb", [textured()], [png(texels)], [{"magFilter": 9728}]))
+    samples = texel_samples(scene, scene.geometry(), Lightmap(size, uv=0))
+    blocks = srgb_to_linear(texels / 255.0).reshape(size, 16 // size, size, 16 // size, 3)
+    assert np.allclose(samples.points.albedo, blocks.mean((1, 3)).reshape(-1, 3), atol=1e-5)
+
+
+def test_a_picture_that_is_not_there_is_said_with_the_map(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl a\nKd 1 1 1\nnorm gone.png\n")
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\n" + OBJ + "usemtl a\n" + QUAD)
+    scene = load(tmp_path / "a.obj")
+    samples = texel_samples(scene, scene.geometry(), Lightmap(8))
+    assert any("gone.png" in each for each in samples.notes)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from torchprt.progress import Parts
-from torchprt.transport.progress import rate
+from torchprt.progress import PROGRESS, QUIET, Parts
+from torchprt.transport.progress import Bar, rate
 
 
 @pytest.mark.parametrize(
@@ -37,3 +37,24 @@ def test_parts_are_one_work():
         parts.start("lobes", 10)
         parts.advance(10)
     assert told == [("lobes", 30, 0), 10, 10, 10]
+
+
+def test_programs_read_a_line_for_each_per_cent_of_a_stage(monkeypatch, capsys):
+    monkeypatch.setenv(PROGRESS, "lines")
+    monkeypatch.delenv(QUIET, raising=False)
+    with Bar() as bar:
+        bar.start("direct", 1000, 500)
+        for _ in range(100):
+            bar.advance(5)
+        bar.start("bounce 1", 0)
+    found = capsys.readouterr().err.splitlines()
+    assert found == [f"direct {share}%" for share in range(50, 101)] + ["bounce 1 100%"]
+
+
+def test_nothing_is_told_to_programs_where_all_shall_be_quiet(monkeypatch, capsys):
+    monkeypatch.setenv(PROGRESS, "lines")
+    monkeypatch.setenv(QUIET, "1")
+    with Bar() as bar:
+        bar.start("direct", 10)
+        bar.advance(10)
+    assert capsys.readouterr().err == ""

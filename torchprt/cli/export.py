@@ -10,7 +10,7 @@ import typer
 
 from torchprt.cli import bake_options, options
 from torchprt.cli.environments import STUDIO, WORDS, environment_of, light_of
-from torchprt.cli.export_page import export_page
+from torchprt.cli.export_page import export_page, export_scene
 from torchprt.cli.report import say
 from torchprt.errors import InputError
 from torchprt.files import check_writable
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 def export(
     transfer: Annotated[Path, typer.Argument(help="A .safetensors that `torchprt bake` wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The .onnx or .glb to write; with --web a folder.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The .onnx or .glb to write; with --web or --three a folder.")
+    ],
     source: Annotated[
         str | None, typer.Option("--from", help="What the graph takes: light or environment.", show_default="light")
     ] = None,
@@ -60,15 +62,23 @@ def export(
     ] = False,
     material: options.OpenGloss = None,
     web: Annotated[bool, typer.Option("--web", help="Write a folder that any web server shows.")] = False,
+    gpu: Annotated[
+        bool, typer.Option("--gpu", help="Page: it shades on the graphics card, and needs no ONNX Runtime.")
+    ] = False,
+    three: Annotated[
+        bool, typer.Option("--three", help="Write a folder for scenes of three.js: mesh, transfer, module, example.")
+    ] = False,
     light: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Page: images or .npy to choose from, or {WORDS} (repeatable). .glb of texels: its light.",
+            help=f"Page, --three: images or .npy to choose from, or {WORDS} (repeatable). .glb of texels: its light.",
             show_default="all of these; studio",
         ),
     ] = None,
     compressed: Annotated[Path | None, typer.Option(help="Page: what `torchprt compress` made of this bake.")] = None,
-    title: Annotated[str | None, typer.Option(help="Page: its title.", show_default="name of the file")] = None,
+    title: Annotated[
+        str | None, typer.Option(help="Page, --three: its title.", show_default="name of the file")
+    ] = None,
     cast: Annotated[
         Path | None, typer.Option(help="Page: of `torchprt neighbourhood`: an object that flies over the model.")
     ] = None,
@@ -76,13 +86,20 @@ def export(
     path: Annotated[
         str | None, typer.Option(help="Page: where it goes: X,Y,Z[,YAW[,PITCH,ROLL]], several with ; between them.")
     ] = None,
-    exact: Annotated[bool, typer.Option("--exact", help="Page: weights and places in float32, as in .onnx.")] = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="Page, --three: weights and places in float32, as in .onnx.")
+    ] = False,
     order: Annotated[
-        int | None, typer.Option(min=1, help=".glb: bands of the transfer in its attributes.", show_default="3")
+        int | None,
+        typer.Option(
+            min=1, help=".glb, --three: bands of the transfer as attributes of vertices.", show_default="3, textures"
+        ),
     ] = None,
     asset: Annotated[
         Path | None,
-        typer.Option("--source", help=".glb: the glTF that was baked, to keep.", show_default="as the bake says"),
+        typer.Option(
+            "--source", help=".glb, --three: the glTF that was baked, to keep.", show_default="as the bake says"
+        ),
     ] = None,
     with_ground: bake_options.WithGround = False,
     only: Annotated[
@@ -90,7 +107,7 @@ def export(
         typer.Option(help="One of several objects, by the name of its mesh in `torchprt info` (repeatable)."),
     ] = None,
 ) -> None:
-    """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, or a .glb."""
+    """Write one self-contained .onnx and compare it with torch in ONNX Runtime; or a web page, a scene, or a .glb."""
     import torchprt as prt
 
     ends = output.suffix.lower()
@@ -106,12 +123,19 @@ def export(
     graph |= seen
     mesh = {"--order": order, "--source": asset}
     page = {"--light": light, "--compressed": compressed, "--title": title, "--exact": exact or None}
-    page |= {"--cast": cast, "--model": model, "--path": path}
-    if web:
+    page |= {"--cast": cast, "--model": model, "--path": path, "--gpu": gpu or None}
+    if web and three:
+        raise InputError("--web and --three are given: each is a folder of its own, write them one after the other")
+    if three:
+        both = ("--light", "--title", "--exact")
+        _refuse(graph | {name: value for name, value in page.items() if name not in both}, "--three")
+    elif web:
         _refuse(graph | mesh, "a page")
     else:
         if not ends:
-            raise InputError(f"{output} must end in .onnx or .glb; to write a page into that folder give --web")
+            raise InputError(
+                f"{output} must end in .onnx or .glb; to write a page into that folder give --web, for three.js --three"
+            )
         check_writable(output, (".onnx", ".glb"))
         unfit = page | (graph if ends == ".glb" else mesh)
         if ends == ".glb":
@@ -136,13 +160,13 @@ def export(
         for option, value in (("--eye", eye), ("--fix-eye", fix_eye), ("--fix-light", fix_light)):
             if value is not None:
                 raise InputError(f"{option} is given, but {transfer} looks the same from everywhere: leave it out")
-    if "receivers" in loaded.needs and not web and ends == ".onnx":
+    if "receivers" in loaded.needs and not (web or three) and ends == ".onnx":
         _refuse(graph, "the graph of a neighbourhood")
         return _told(prt.onnx.export_neighbourhood(loaded, output))
     if not loaded.receivers.on_surface:
         if ends == ".glb":
             options.surface_of(loaded, ".glb", transfer, "write .onnx or, with --web, a page")
-        if not web and not cells:
+        if not web and not three and not cells:
             others = {name: value for name, value in graph.items() if name not in (*seen, "--size")}
             _refuse(others, "a volume's picture")
             shape = (128, 128) if size is None else options.size(size)
@@ -154,7 +178,7 @@ def export(
     _refuse(seen, "what is no picture of a volume")
     if only:
         loaded = loaded.only(*only)
-    if with_ground and not web and ends == ".onnx":
+    if with_ground and not (web or three) and ends == ".onnx":
         raise InputError("--with-ground is given, but an .onnx holds all that was baked: leave it out")
     if ends != ".onnx" and not with_ground:
         loaded = loaded.without_ground()
@@ -163,7 +187,9 @@ def export(
         loaded = prt.shade.with_material(loaded, chosen)
     if web:
         named = title or transfer.stem
-        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact, flight)
+        return export_page(loaded, output, light, compressed, named, chosen, with_ground, exact, flight, gpu)
+    if three:
+        return export_scene(loaded, output, light, title or transfer.stem, exact, order, asset, transfer.parent)
     if ends == ".glb" and loaded.receivers.surface_uv is not None:
         _refuse({"--order": order}, "a .glb of texels, which is lit,")
         return _export_lit(loaded, output, light, asset, transfer.parent)

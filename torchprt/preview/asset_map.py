@@ -40,7 +40,8 @@ def save_mapped_glb(
     """Writes what an atlas lies on, with the map of `colours`, linear RGB in [0, 1], as `.glb` that any viewer shows.
 
     The map is a PNG of 8 bits in sRGB, `baseColorTexture` of materials that are unlit (KHR_materials_unlit), on the set
-    of texture coordinates that follows those of the file, at least TEXCOORD_1. Vertices at seams of the map are split.
+    of texture coordinates that it was baked on if that is not the first, else on one that follows those of the file, at
+    least TEXCOORD_1. Vertices at seams of the map are split.
     If it was baked from a glTF file that is still there (or in the folder `near`, or is `given`), all else is as that
     file has it; what else was baked, or everything, follows as plain meshes, whose TEXCOORD_0 is the map too. Vertex
     colours are left out, which viewers would multiply with the map. Returns a sentence that says which.
@@ -112,8 +113,12 @@ class _Mapped:
         self._next += len(faces)
         if piece.mirrored:
             faces, uv = faces[:, ::-1], uv[:, ::-1]
+        there = next((number for number in sorted(piece.uv) if number and _same_uv(piece.uv[number], faces, uv)), None)
         vertex, corners, places = split(faces, uv)
-        if len(vertex) == len(np.unique(vertex)):
+        if there is not None:
+            # The set that it was baked on. A second copy would be a third set, which some engines do not have.
+            self.highest = max(self.highest, there)
+        elif len(vertex) == len(np.unique(vertex)):
             whole = np.zeros((len(piece.positions), 2), "<f4")
             whole[vertex] = places
             places = whole
@@ -123,7 +128,7 @@ class _Mapped:
         attributes = entry["attributes"]
         for name in [each for each in attributes if each.startswith("COLOR_")]:
             del attributes[name]
-        number = self._put(file, attributes, places)
+        number = self._put(file, attributes, places) if there is None else there
         entry["material"] = self._material(file, entry.get("material"), number)
         # A viewer that offers variants would put lit materials back.
         entry.get("extensions", {}).pop("KHR_materials_variants", None)
@@ -196,6 +201,11 @@ class _Mapped:
             material |= {"pbrMetallicRoughness": core, "extensions": {UNLIT: {}}}
             self._unlit[number, coordinates] = file.add("materials", material)
         return self._unlit[number, coordinates]
+
+
+def _same_uv(values: Float[np.ndarray, "V 2"], faces: Int[np.ndarray, "F 3"], uv: Float[np.ndarray, "F 3 2"]) -> bool:
+    """Whether a set of texture coordinates of a file is what its faces have on the map."""
+    return np.array_equal(values[faces].astype("<f4"), uv)
 
 
 def split(

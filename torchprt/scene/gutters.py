@@ -39,9 +39,9 @@ def gutters(
     Law: along a seam of a developable surface a quantity that is linear on the surface is read alike from both sides,
     but for taps that no chart covers.
     """
-    number = np.full(rows * columns, -1)
-    number[texel] = np.arange(len(texel))
-    number = number.reshape(rows, columns)
+    of_texel = np.full(rows * columns, -1)
+    of_texel[texel] = np.arange(len(texel))
+    number = of_texel.reshape(rows, columns)
     if not width or not len(texel):
         return Gutters(np.zeros(0, int), np.zeros((0, 4), int), np.zeros((0, 4)))
     transform: Any = distance_transform_edt(number < 0, return_indices=True)

@@ -88,7 +88,8 @@ def rasterise(
     """
     known = np.isfinite(uv).all(axis=(1, 2))
     corners = np.where(known[:, None, None], uv, 0.0) * [columns, rows]
-    cover, twice = _covers(corners * across, known, rows * across, columns * across, across)
+    cover, several = _covers(corners * across, known, rows * across, columns * across, across)
+    twice = int(several.reshape(rows, across, columns, across).any(axis=(1, 3)).sum())
     texel, face, slot, own = _texels(cover, chart, across)
     del cover
     weights = _weights(corners, texel, face, slot, columns, across)
@@ -104,10 +105,27 @@ def rasterise(
     return Raster(texel[order], face, weights, own, twice, lost)
 
 
+def faces_twice(uv: Float[np.ndarray, "F 3 2"], rows: int, columns: int) -> Int[np.ndarray, "n"]:
+    """Of each of the middles of texels that lie in several faces, and not on their edges, the first of these."""
+    known = np.isfinite(uv).all(axis=(1, 2))
+    cover, several = _covers(np.where(known[:, None, None], uv, 0.0) * [columns, rows], known, rows, columns, 1)
+    result: np.ndarray = cover[several]
+    return result
+
+
+def overlap(uv: Float[np.ndarray, "F 3 2"], rows: int, columns: int) -> float:
+    """The share of the texels with a sample in a face, of four each, that have one in several faces."""
+    known = np.isfinite(uv).all(axis=(1, 2))
+    corners = np.where(known[:, None, None], uv, 0.0) * [2 * columns, 2 * rows]
+    cover, several = _covers(corners, known, 2 * rows, 2 * columns, 2)
+    twice, covered = (int(each.reshape(rows, 2, columns, 2).any(axis=(1, 3)).sum()) for each in (several, cover >= 0))
+    return twice / max(covered, 1)
+
+
 def _covers(
     corners: Float[np.ndarray, "F 3 2"], known: Bool[np.ndarray, "F"], rows: int, columns: int, across: int
-) -> tuple[Int[np.ndarray, "rows columns"], int]:
-    """The first face that every sample lies in, -1 for none, and the number of texels with one that is in several."""
+) -> tuple[Int[np.ndarray, "rows columns"], Bool[np.ndarray, "rows columns"]]:
+    """The first face that every sample lies in, -1 for none, and which are in several, and not on their edges."""
     none = np.iinfo(np.int32).max
     cover = np.full(rows * columns, none, np.int32)
     several = np.zeros(rows * columns, bool)
@@ -134,8 +152,7 @@ def _covers(
             first_face = np.minimum(cover[cell], face[some])
             cover[cell[::-1]] = first_face[::-1]
     cover[cover == none] = -1
-    blocks = several.reshape(rows // across, across, columns // across, across)
-    return cover.reshape(rows, columns), int(blocks.any(axis=(1, 3)).sum())
+    return cover.reshape(rows, columns), several.reshape(rows, columns)
 
 
 def _rows_of(

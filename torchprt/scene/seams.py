@@ -11,6 +11,8 @@ from .weld import edges, weld
 
 # The cosine between the normals of two faces at their edge below which it is one, and no seam of one surface.
 SMOOTH = 0.9
+# Depths of strips, each twice the one before.
+LEVELS = 4
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,9 @@ def seams(
     """The seams of a surface whose faces are at `uv` of a map, as far as `width` beyond, in the unit of `uv`.
 
     A seam is an edge of two faces, wound alike and with `normals` (of the corners of faces) that agree, that are at
-    different places of the map. Each is there twice, once from either side.
+    different places of the map. Each is there from either side as several strips along the edge, the shallow ones of
+    all seams before the deep ones, so that the first that covers a place is that of the nearest seam, or nearly so; and
+    of each depth once more as much longer, which fills the gaps where a border turns.
     """
     face, corner, other, other_corner = _pairs(positions, faces, normals, uv)
     outward, _, _ = _outward(positions, faces, uv, face, corner)
@@ -70,17 +74,25 @@ def seams(
     first, last = np.zeros((len(face), 3)), np.zeros((len(face), 3))
     first[row, start], last[row, end] = 1, 1
     far = np.where(keep, reach, 0)[:, None]
+    with np.errstate(divide="ignore"):
+        more = np.where(keep, width / length[:, 0], 0)[:, None]
+    shares = [0.5**level for level in reversed(range(LEVELS))]
 
-    def both(one: np.ndarray, two: np.ndarray, move: np.ndarray) -> np.ndarray:
-        quads = np.stack([one, two, two + move, one + move], axis=1)[keep]
-        return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    def strips(one: np.ndarray, two: np.ndarray, move: np.ndarray) -> np.ndarray:
+        found = []
+        for share in shares:
+            before, behind = one - share * more * (two - one), two + share * more * (two - one)
+            for start, end in ((one, two), (before, behind)):
+                quads = np.stack([start, end, end + share * move, start + share * move], axis=1)[keep]
+                found += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
+        return np.concatenate(found)
 
     return Seams(
-        both(a, b, far * outward),
-        np.tile(face[keep], 2),
-        np.tile(other[keep], 2),
-        both(first, last, step),
-        both(c, d, far * inward),
+        strips(a, b, far * outward),
+        np.tile(face[keep], 4 * LEVELS),
+        np.tile(other[keep], 4 * LEVELS),
+        strips(first, last, step),
+        strips(c, d, far * inward),
     )
 
 

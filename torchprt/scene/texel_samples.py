@@ -127,6 +127,8 @@ def _notes(objects: Sequence[Object], raster: Raster, uv: np.ndarray, chart: np.
     small = len(np.setdiff1d(chart[np.isfinite(uv).all(axis=(1, 2))], seen))
     if small:
         notes.append(f"{count(small, 'chart')} smaller than a texel: sampled at the point nearest to its middle")
+    if raster.twice:
+        notes.append(f"{count(raster.twice, 'texel')} with several faces at one place, of which the first shows")
     both = [each.mesh.name for each in objects if each.receives and bool(each.two_sided.any())]
     if both:
         notes.append(f"{', '.join(both)}: texels are of one side, the other is black")

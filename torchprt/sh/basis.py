@@ -144,6 +144,11 @@ def _is_fake(value: Tensor) -> bool:
     return isinstance(value, FakeTensor)
 
 
+def plain_recurrence(order: int, dtype: torch.dtype) -> tuple[Float[Tensor, "N 1"], Float[Tensor, "N 1"]]:
+    """`a [N, 1]` and `b [N, 1]` of y_lm = a z y_(l-1)m - b y_(l-2)m, on the CPU."""
+    return _recurrence(torch.device("cpu"), order, dtype)
+
+
 @remembered(64)
 def _recurrence(order: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """a, b of y_lm = a z y_(l-1)m - b y_(l-2)m for every index; zero where the recurrence does not apply."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.sh.basis import basis, only_values_are_wanted
+from torchprt.sh.basis import basis, only_values_are_wanted, plain_recurrence
 from torchprt.sh.constant import remembered
 from torchprt.sh.hemisphere import DISCARDED
 from torchprt.sh.precision import widened
@@ -69,6 +69,27 @@ def exit_count(order: int, projection: Projection = "optimal") -> int:
     if projection not in ("optimal", "reduced", "zero", "odd", "even"):
         raise InputError(f"projection '{projection}' is unknown: use 'optimal', 'reduced', 'zero', 'odd' or 'even'")
     return order * order - (1 if projection == "reduced" and order > 1 else 0)
+
+
+def exit_recurrence(order: int, projection: Projection = "optimal") -> tuple[Tensor, Tensor]:
+    """What a shader evaluates `exit_functions` with: slope, level and across `[N, 3]` of every index l(l + 1) + m, and
+    `sectoral [order]`, float64. With e_00 = sectoral_0 and, in the local direction (x, y, z),
+
+    - e_lm = (slope z + level) e_(l-1)m - across e_(l-2)m for |m| < l,
+    - e_l-l = sectoral_l (x e_(l-1)-(l-1) + y e_(l-1)(l-1)), e_ll = sectoral_l (x e_(l-1)(l-1) - y e_(l-1)-(l-1)); at
+      l = 1 without e_(l-1)-(l-1).
+
+    Of "reduced" it gives all N, with l = 1, m = 0, which is no exit function of it.
+    Raises InputError as `exit_functions` does.
+    """
+    exit_count(order, projection)
+    if projection == "optimal":
+        *columns, sectoral = _recurrence(order)
+        return torch.tensor(columns, dtype=torch.float64).T, torch.tensor(sectoral, dtype=torch.float64)
+    along, across = plain_recurrence(order, torch.float64)
+    heads = [math.sqrt(0.25 / math.pi), -math.sqrt(3.0), *(-math.sqrt((2 * l + 1) / (2 * l)) for l in range(2, order))]
+    table = torch.stack([along, torch.zeros_like(along), across], -1)[:, 0]
+    return table, torch.tensor(heads[:order], dtype=torch.float64)
 
 
 def to_horizon(directions: Float[Tensor, "*D 3"]) -> Float[Tensor, "*D 3"]:

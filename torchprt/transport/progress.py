@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from torchprt.progress import quiet
+from torchprt.progress import in_lines, quiet
 
 
 class _Rate(ProgressColumn):
@@ -47,9 +47,30 @@ class _Unheard:
         return getattr(self._stream, name)
 
 
+class _Lines:
+    """The stage and its per cent, a line whenever that has changed: what programs can read without a terminal."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self._stage, self._total, self._done, self._told = "", 0, 0, -1
+
+    def start(self, stage: str, total: int, done: int = 0) -> None:
+        self._stage, self._total, self._done, self._told = stage, total, 0, -1
+        self.advance(done)
+
+    def advance(self, count: int) -> None:
+        self._done += count
+        share = 100 if self._total <= 0 else min(100 * self._done // self._total, 100)
+        if share > self._told:
+            self._told = share
+            self._stream.write(f"{self._stage} {share}%\n")
+            self._stream.flush()
+
+
 class Bar:
     """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager.
 
+    With TORCHPRT_PROGRESS=lines there is a line for each per cent of a stage instead, `diffuse 37%`.
     `rates`: whether it says how much is done a second.
     """
 
@@ -64,6 +85,7 @@ class Bar:
         console = Console(file=stream, stderr=True, quiet=quiet())
         self._progress = Progress(*columns, TimeRemainingColumn(), console=console)
         self._task: TaskID | None = None
+        self._lines = _Lines(stream) if stream is not None and in_lines() and not quiet() else None
 
     def __enter__(self) -> Bar:
         return self
@@ -74,9 +96,14 @@ class Bar:
             self._progress.stop()
 
     def start(self, stage: str, total: int, done: int = 0) -> None:
+        if self._lines is not None:
+            self._lines.start(stage, total, done)
+            return
         self._progress.start()
         self._task = self._progress.add_task(stage, total=total, completed=done)
 
     def advance(self, count: int) -> None:
-        if self._task is not None:
+        if self._lines is not None:
+            self._lines.advance(count)
+        elif self._task is not None:
             self._progress.advance(self._task, count)

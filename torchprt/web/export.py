@@ -28,14 +28,19 @@ from torchprt.version import VERSION
 from torchprt.web.environment import as_json, of_order, samples, shown
 from torchprt.web.flight import Flight
 from torchprt.web.libraries import libraries
+from torchprt.web.map import MAP, mapped_corners, save_map
 from torchprt.web.mesh import save_small_glb
 from torchprt.web.packing import pack
+from torchprt.web.shader_file import shader_file
+from torchprt.web.three import MODULE, apart, gpu_text, module
 from torchprt.web.volume import NAME, box, save_volume
 from torchprt.words import count
 
 # Share of the RMS radiance that the colours of a difference end at: shadows are large, what compression loses is not.
 SHADOWS, COMPRESSION = 1.0, 0.1
 MODEL, COMPRESSED = "model.onnx", "compressed.onnx"
+# The same for shaders.
+SHADED, SHADED_COMPRESSED = "transfer.bin", "compressed.bin"
 # What the page fetches before its first picture, beside mesh, graphs and pictures.
 LOADED = (
     "three.module.min.js",
@@ -53,7 +58,8 @@ class PageReport:
 
     `parity` is that of the float32 graph with torch; `packed` that of the graph as it is in the folder, whose weights
     are whole numbers: how far what the page shows is from float64. `places`: by how much vertices were moved, at most,
-    in the unit of the scene. `packed` is None if `exact`, `parity` too if nothing was to be checked.
+    in the unit of the scene. `packed` is None if `exact`, `parity` too if nothing was to be checked. Of a page for
+    shaders both are None, and `half` is what its numbers in half precision cost, against float64.
     """
 
     folder: Path
@@ -63,6 +69,7 @@ class PageReport:
     parity: onnx.ParityReport | None
     packed: onnx.ParityReport | None
     places: float
+    half: float | None = None
 
     def __str__(self) -> str:
         return (
@@ -72,6 +79,11 @@ class PageReport:
 
     def losses(self) -> str:
         """What is lost against float32, in a sentence; nothing if that was not looked at."""
+        if self.half is not None:
+            return (
+                f"transfer in half precision: radiance is off by {self.half:.1e} of its RMS in the worst light; places "
+                f"by {self.places:.1e} at most (--exact keeps float32)"
+            )
         if self.packed is None:
             return ""
         return (
@@ -90,6 +102,7 @@ def export(
     exact: bool = False,
     check: bool = True,
     flight: Flight | None = None,
+    gpu: bool = False,
 ) -> PageReport:
     """Writes a page that shows `transfer` under `environments` (`samples` if none are given) into `folder`.
 
@@ -101,10 +114,15 @@ def export(
     Of a volume the page composites the source radiance of its cells, which the graph gives, along the rays of its
     camera, in steps between cells as `shade.Composite` does; it shows transfer and `compressed`.
 
+    Of texels it draws the meshes with the map, read between texels, and its gutters.
+
     `flight`: an object that moves over the model and casts its shadow on it.
 
     Weights and mesh are quantised (`packing.pack`, `mesh.save_small_glb`), which with gzip makes 100 000 vertices of
     order 5 a download of 6 to 11 MB; with `check` the report says what that costs. `exact` keeps all in float32.
+
+    `gpu`: the page shades in WebGL 2, by the module of `export_three`, and needs no ONNX Runtime: 8 MB less to load.
+    Diffuse and exit layers, dense or in clusters; no volumes, and nothing flies.
 
     Raises InputError if the transfer has no faces or no graph can be made of it, the lights are not of its order,
     `compressed` is another bake, `folder` holds something else, or the libraries cannot be had (see `libraries`).
@@ -115,6 +133,11 @@ def export(
     volume = None if full.receivers.on_surface else full.receivers.as_cells()
     if volume is not None and flight is not None:
         raise InputError("nothing flies over a volume, which has no surface to cast a shadow on: leave the flight out")
+    atlas = full.receivers.as_atlas() if full.receivers.kind == "atlas" else None
+    if atlas is not None and flight is not None:
+        raise InputError("nothing flies over a map of texels: leave the flight out, or take it to vertices")
+    if gpu and (volume is not None or flight is not None):
+        raise InputError("a page with gpu shows surfaces on which nothing flies: leave gpu out")
     if len(full.faces) == 0 and volume is None:
         raise InputError("a page shows faces, and this transfer was recorded at loose points: export .onnx")
     packed = None if compressed is None else at_rest(compressed)
@@ -126,19 +149,34 @@ def export(
     if not lights:
         raise InputError("a page needs a light: give one environment or more")
     coefficients = torch.stack([of_order(each, full.order) for each in lights])
+    shaded = [shader_file(each, exact=exact) for each in (full, packed) if each is not None] if gpu else []
+    half = None
+    if gpu and check and not exact:
+        half = apart(full, shaded[0].transfer, coefficients)
+        if packed is not None:
+            half = max(half, apart(packed, shaded[1].transfer, coefficients))
     foreign = libraries()
     with atomic_folder(target) as made:
         page = str(resources.files("torchprt.web") / "page")
         shutil.copytree(page, made, copy_function=shutil.copyfile, dirs_exist_ok=True)
-        shutil.copytree(foreign, made / "libraries", copy_function=shutil.copyfile)
-        report = onnx.export(full, made / MODEL, check=check)
-        packed_parity = None if exact else _pack(made / MODEL, full, check)
-        if packed is not None:
+        left_out = shutil.ignore_patterns("ort.*", "onnxruntime-*") if gpu else None
+        shutil.copytree(foreign, made / "libraries", copy_function=shutil.copyfile, ignore=left_out)
+        parity = packed_parity = None
+        if gpu:
+            for name, text in ((MODULE, module()), ("runtime.js", gpu_text("runtime.js")), *_without_runtime(made)):
+                (made / name).write_text(text, encoding="utf-8")
+            for name, file in zip((SHADED, SHADED_COMPRESSED), shaded, strict=False):
+                (made / name).write_bytes(file.content)
+        else:
+            parity = onnx.export(full, made / MODEL, check=check).parity
+            packed_parity = None if exact else _pack(made / MODEL, full, check)
+        if packed is not None and not gpu:
             onnx.export(packed, made / COMPRESSED, check=check)
             second = None if exact else _pack(made / COMPRESSED, packed, check)
             if packed_parity and second and second.relative_rms > packed_parity.relative_rms:
                 packed_parity = second
-        models = [_zipped(made / name) for name in (MODEL, COMPRESSED) if (made / name).is_file()]
+        names = (MODEL, COMPRESSED, SHADED, SHADED_COMPRESSED)
+        models = [_zipped(made / name) for name in names if (made / name).is_file()]
         save = preview.save_glb if exact else save_small_glb
         flies, flying = None, tuple[str, ...]()
         if flight is not None:
@@ -148,6 +186,12 @@ def export(
         if volume is not None:
             # What is drawn are the sides of its box.
             drawn, colour = box(volume), torch.zeros(8, 3)
+        charted = None
+        if atlas is not None:
+            index, uv, faces = mapped_corners(atlas)
+            drawn = (atlas.mesh_positions[index], atlas.mesh_normals[index], faces)
+            charted = save_map(atlas, colour, uv, made)
+            colour = torch.zeros(len(index), 3)
         moved = save(*drawn, made / "mesh.glb", colour=colour) or 0.0
         cells = None if volume is None else save_volume(volume, made)
         mirrors = full.receivers.mirrors
@@ -157,7 +201,7 @@ def export(
         camera = preview.frame(preview.subject(full.receivers), aspect=1.0)
         pictures = [_picture(each, made, index) for index, each in enumerate(lights)]
         stops = [round(preview.automatic_exposure(each), 2) for each in coefficients]
-        closed = volume is not None or _is_closed(full.positions, full.faces)
+        closed = volume is not None or _is_closed(drawn[0], drawn[2])
         about = _about(full, transfer, compressed, title, closed) | {
             "tone": TONE,
             "camera": {"eye": camera.eye, "target": camera.target, "field": camera.field},
@@ -169,16 +213,19 @@ def export(
         about["mirrors"] = mirrors is not None
         about["flight"] = flies
         about["volume"] = cells
+        about["map"] = charted
         meshes = (
             "mesh.glb",
             *((NAME,) if volume is not None else ()),
+            *((MAP,) if atlas is not None else ()),
             *(("mirrors.glb",) if mirrors is not None else ()),
             *flying,
         )
         loaded = (
             *meshes,
-            *(each.name for each in models if each.name != COMPRESSED + ".gz"),
-            *(f"libraries/{name}" for name in LOADED),
+            *(each.name for each in models if each.name not in (COMPRESSED + ".gz", SHADED_COMPRESSED + ".gz")),
+            *(f"libraries/{name}" for name in LOADED if not (gpu and name.startswith("ort."))),
+            *((MODULE,) if gpu else ()),
             *pictures,
         )
         about["download"] = sum((made / name).stat().st_size for name in loaded)
@@ -186,8 +233,19 @@ def export(
         own = [*models, *(made / name for name in meshes), made / "scene.json", *(made / name for name in pictures)]
         model_bytes = sum(path.stat().st_size for path in own)
     size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
-    names = tuple(each.name for each in lights)
-    return PageReport(target, size, model_bytes, names, report.parity, packed_parity, moved)
+    titles = tuple(each.name for each in lights)
+    return PageReport(target, size, model_bytes, titles, parity, packed_parity, moved, half)
+
+
+def _without_runtime(made: Path) -> list[tuple[str, str]]:
+    """What of a page speaks of ONNX Runtime, without it."""
+    index = (made / "index.html").read_text(encoding="utf-8")
+    notice = (made / "NOTICE.txt").read_text(encoding="utf-8")
+    preload = '<link rel="modulepreload" href="libraries/ort.wasm.bundle.min.mjs">'
+    return [
+        ("index.html", index.replace(preload, f'<link rel="modulepreload" href="{MODULE}">')),
+        ("NOTICE.txt", notice[: notice.index("libraries/ort.*")].rstrip() + "\n"),
+    ]
 
 
 def _pack(path: Path, transfer: Transfer, check: bool) -> onnx.ParityReport | None:

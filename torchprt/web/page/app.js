@@ -1,9 +1,11 @@
 // The page: loads everything at once, shows the model, and picks the faster of processor and graphics card.
+import { BufferAttribute } from "three";
 import { checkBrowser, damaged, Fault, load, notOfOnePage } from "./faults.js";
 import { Flight } from "./flight.js";
+import { LightMap } from "./map.js";
 import { loadMesh } from "./mesh.js";
 import { connect, median, megabytes, report } from "./panel.js";
-import { Model } from "./runtime.js";
+import { COMPRESSED, MODEL, Model } from "./runtime.js";
 import { Viewer } from "./viewer.js";
 import { Volume } from "./volume.js";
 
@@ -53,23 +55,30 @@ async function race(viewer, url) {
 async function start() {
   checkBrowser();
   // All at once; what fails is told of where it is waited for.
-  const loading = [loadMesh("mesh.glb"), Model.open("model.onnx.gz")];
+  const loading = [loadMesh("mesh.glb"), Model.open(MODEL)];
   for (const each of loading) each.catch(() => {});
   const described = await load("scene.json", "json");
   document.title = described.title;
   at("title").textContent = described.title;
   at("subtitle").textContent = described.subtitle;
   at("loading").textContent = `loading ${megabytes(described.download)}`;
-  const [mesh, model, compressed, pictures, mirrors, flight, volume] = await Promise.all([
+  const [mesh, model, compressed, pictures, mirrors, flight, volume, map] = await Promise.all([
     ...loading,
-    described.compressed ? Model.open("compressed.onnx.gz") : null,
+    described.compressed ? Model.open(COMPRESSED) : null,
     Promise.all(described.environments.map((each) => picture(each.picture))),
     described.mirrors ? loadMesh("mirrors.glb") : null,
     described.flight
       ? Promise.all([Model.open("shadow.onnx.gz"), Model.open("object.onnx.gz"), loadMesh("object.glb")])
       : null,
     described.volume ? Volume.open("volume.bin.gz", described.volume) : null,
+    described.map ? LightMap.open("map.bin.gz", described.map) : null,
   ]);
+  if (map) {
+    if (2 * mesh.vertices !== map.uv.length) throw notOfOnePage("mesh.glb and map.bin.gz are of two models");
+    // Shading without transfer is of the receivers too.
+    Object.assign(mesh, { normals: map.normals, albedo: map.albedo, vertices: map.count });
+    mesh.geometry.setAttribute("uv", new BufferAttribute(map.uv, 2));
+  }
   if (volume ? volume.count !== described.vertices : mesh.vertices !== described.vertices) {
     const found = volume ? `volume.bin.gz has ${volume.count} cells` : `mesh.glb has ${mesh.vertices} vertices`;
     throw notOfOnePage(`${found} where the model shades ${described.vertices}`);
@@ -79,7 +88,7 @@ async function start() {
   at("canvas").addEventListener("webglcontextlost", () =>
     window.complain("The graphics card was lost", "The system or another page took it away. Load this page again."),
   );
-  if (volume) viewer.view.addVolume(volume);
+  if (volume ?? map) viewer.view.addFilled(volume ?? map);
   if (mirrors) viewer.view.addMirrors(mirrors);
   if (flight) viewer.let(new Flight(described.flight, ...flight));
   connect(viewer);
@@ -87,7 +96,7 @@ async function start() {
   at("loading").hidden = true;
   document.body.dataset.ready = Math.round(performance.now());
   window.torchprt = viewer;
-  viewer.raced = race(viewer, "model.onnx.gz");
+  viewer.raced = race(viewer, MODEL);
   await viewer.raced;
 }
 

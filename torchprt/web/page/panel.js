@@ -30,12 +30,12 @@ export const median = (values) => [...values].sort((a, b) => a - b)[values.lengt
 export function report(viewer) {
   const { about, model, compressed } = viewer;
   const rows = [
-    [about.volume ? "cells" : "vertices", number(about.vertices)],
+    [about.volume ? "cells" : about.map ? "texels" : "vertices", number(about.vertices)],
     ["transfer", megabytes(about.bytes)],
     ...(compressed ? [["compressed", megabytes(about.compressed.bytes)]] : []),
     ["model file", megabytes(model.bytes)],
     ["one shade", viewer.times.length ? `${median(viewer.times).toFixed(1)} ms` : "-"],
-    ["runs on", model.where === "wasm" ? "WASM, 1 thread" : "WebGPU"],
+    ["runs on", { wasm: "WASM, 1 thread", webgpu: "WebGPU", webgl: "WebGL 2" }[model.where]],
     ...(viewer.relative === null ? [] : [["difference (RMS)", `${(100 * viewer.relative).toPrecision(2)} %`]]),
   ];
   const text = rows.flat().join("\n");

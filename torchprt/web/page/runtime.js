@@ -2,6 +2,9 @@
 
 import { notRun, refused, unpacked } from "./faults.js";
 
+/** The graphs of a page. */
+export const [MODEL, COMPRESSED] = ["model.onnx.gz", "compressed.onnx.gz"];
+
 const FOLDER = new URL("./libraries/", import.meta.url);
 
 async function library(name) {

@@ -69,3 +69,61 @@ export function lowBands(light, order) {
   low.fill(0, 3 * order * order);
   return low;
 }
+
+const rules = new Map();
+
+/** Points and weights of a rule that is exact for products of two functions of `order` bands, and the basis at them. */
+function rule(order) {
+  if (rules.has(order)) return rules.get(order);
+  const [count, around] = [order * order, 2 * order - 1];
+  const points = [];
+  for (let i = 0; i < order; i++) {
+    // Gauss and Legendre: a root of the polynomial of degree `order`, by Newton.
+    let z = Math.cos((Math.PI * (i + 0.75)) / (order + 0.5));
+    let slope = 1;
+    for (let step = 0; step < 16; step++) {
+      let [below, here] = [1, z];
+      for (let l = 2; l <= order; l++) [below, here] = [here, ((2 * l - 1) * z * here - (l - 1) * below) / l];
+      slope = (order * (below - z * here)) / (1 - z * z);
+      z -= here / slope;
+    }
+    const weight = ((2 / ((1 - z * z) * slope * slope)) * 2 * Math.PI) / around;
+    const across = Math.sqrt(1 - z * z);
+    for (let k = 0; k < around; k++) {
+      const phi = (2 * Math.PI * k) / around;
+      points.push({ at: [across * Math.cos(phi), across * Math.sin(phi), z], weight });
+    }
+  }
+  for (const point of points) {
+    point.values = basis(...point.at, order, new Float64Array(count)).map((each) => each * point.weight);
+  }
+  rules.set(order, points);
+  return points;
+}
+
+/**
+ * `light`, N x 3, turned by the row-major rotation R: where it was f(s), it is f(R^T s). Exact up to rounding, for any
+ * rotation: the turned light is read at the points of a rule and projected again.
+ */
+export function rotate(light, rotation) {
+  const order = Math.round(Math.sqrt(light.length / 3));
+  const count = order * order;
+  const turned = new Float64Array(3 * count);
+  const values = new Float64Array(count);
+  for (const { at, values: weighed } of rule(order)) {
+    const [x, y, z] = [0, 1, 2].map((i) => rotation[i] * at[0] + rotation[3 + i] * at[1] + rotation[6 + i] * at[2]);
+    basis(x, y, z, order, values);
+    let [red, green, blue] = [0, 0, 0];
+    for (let i = 0; i < count; i++) {
+      red += values[i] * light[3 * i];
+      green += values[i] * light[3 * i + 1];
+      blue += values[i] * light[3 * i + 2];
+    }
+    for (let i = 0; i < count; i++) {
+      turned[3 * i] += weighed[i] * red;
+      turned[3 * i + 1] += weighed[i] * green;
+      turned[3 * i + 2] += weighed[i] * blue;
+    }
+  }
+  return turned;
+}

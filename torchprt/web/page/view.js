@@ -139,7 +139,7 @@ export class View {
     this.sky.renderOrder = -1;
     this.sky.visible = false;
     this.model = new THREE.Mesh(geometry, this.material);
-    this.volume = null;
+    this.filled = null;
     this.scene = new THREE.Scene().add(this.sky, this.model);
     this.reverse = reverse();
     // Of a closed surface no reverse is seen.
@@ -197,15 +197,15 @@ export class View {
   }
 
   set radiance(values) {
-    if (this.volume) this.volume.fill(values);
+    if (this.filled) this.filled.fill(values);
     else shine(this.geometry, values);
   }
 
-  /** Draws what is in the box that the mesh is, in its place. */
-  addVolume(volume) {
-    volume.prepare(this.renderer);
-    this.volume = volume;
-    this.material = this.model.material = volume.material;
+  /** Draws, in place of radiance at vertices, a volume in the box that the mesh is, or a map on it. */
+  addFilled(filled) {
+    filled.prepare(this.renderer);
+    this.filled = filled;
+    this.material = this.model.material = filled.material;
   }
 
   /** Draws an object that moves through `places` too. */
