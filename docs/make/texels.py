@@ -20,7 +20,8 @@ from torchprt.transfer import Atlas, bilinear
 from torchprt.transport import bake
 
 FOLDER = Path(__file__).parents[1] / "images"
-TEXELS, SIZE = 256, (480, 480)
+TEXELS, SIZE = 192, (1100, 1100)
+CROP = slice(330, 730), slice(330, 730)
 
 
 def across_seams(atlas: Atlas, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -67,7 +68,7 @@ def main() -> None:
         one, other = across_seams(place, radiance)
         print(f"{name}: both sides of seams are apart by {float((one - other).norm() / other.norm()):.2%} (RMS)")
         still = preview.Still.of(place, size=SIZE, camera=camera, samples=9)
-        pictures.append(still.picture(radiance, exposure=exposure))
+        pictures.append(still.picture(radiance, exposure=exposure)[CROP])
     names = ["no gutters", "nearest texel of the chart", "the surface beyond the seam"]
     preview.save_png(preview.sheet(pictures, names, columns=3), FOLDER / "texels.png")
 

@@ -256,7 +256,7 @@ def make_glb(parts, materials, pictures):
             about = slots[slot]
             if about["name"] not in numbers:
                 numbers[about["name"]] = len(listed)
-                listed.append(_gltf_material(about, images, pictures))
+                listed.append(_gltf_material(about, images))
             indices = accessor(faces.astype(np.uint32).reshape(-1), "SCALAR")
             primitives.append({"attributes": attributes, "indices": indices, "material": numbers[about["name"]]})
         meshes.append({"name": part.name, "primitives": primitives})
@@ -277,14 +277,13 @@ def make_glb(parts, materials, pictures):
     return start + struct.pack("<I4s", len(data), b"BIN\0") + bytes(data)
 
 
-def _gltf_material(about, images, pictures):
+def _gltf_material(about, images):
     core = {"baseColorFactor": [*map(float, about["colour"]), 1.0]}
     core |= {"metallicFactor": float(about["metallic"]), "roughnessFactor": float(about["roughness"])}
     if about["image"] is not None:
         name = about["image"].name
         if name not in images:
             images.append(name)
-            pictures.setdefault(name, b"")
         core["baseColorTexture"] = {"index": images.index(name), "texCoord": 0}
     return {"name": about["name"], "pbrMetallicRoughness": core, "doubleSided": bool(about["two_sided"])}
 
@@ -518,7 +517,8 @@ def prepare_bake(context, notes):
     objects = sorted(dict.fromkeys(objects), key=lambda obj: obj.name)
     if not objects:
         raise Fault("No mesh is selected: select the objects that shall receive light")
-    files, parts = sent(context, objects, settings, notes)
+    with _visible(objects):
+        files, parts = sent(context, objects, settings, notes)
     folder = folder_of(context)
     for name, data in files.items():
         write(folder / name, data)
@@ -561,7 +561,6 @@ def read_bake(context):
     """What `keep_bake` noted, the objects, and their parts as they are now. Fault if they were changed since."""
     about = noted(context)
     objects = [context.scene.objects[name] for name in about["objects"]]
-
     with _visible(objects):
         files, parts = sent(context, objects, Baked(about["where"], about["uv"], about["others"]), [])
     if digest_of(files) != about["digest"]:
@@ -628,6 +627,7 @@ def world_image(context, path, height=256):
         form = scene.render.image_settings
         form.file_format, form.color_mode, form.color_depth = "OPEN_EXR", "RGB", "32"
         path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
         if not path.exists():
@@ -670,6 +670,7 @@ def prepare_light(context, light, about, seen):
 def bring_back(context, light, output, bake, notes):
     """Colours or a map onto the objects of a bake, as `read_bake` gave it."""
     about, objects, parts = bake
+    light.white = context.scene.torchprt.white
     if about["where"] == "TEXELS":
         image = bpy.data.images.get(PREFIX + light.name) or bpy.data.images.load(str(output))
         image.name = PREFIX + light.name
@@ -799,16 +800,15 @@ def show(context, light):
     seen = [copy_of(context, obj) or obj for obj in objects]
     if name not in bpy.data.images if uv else any(name not in each.data.color_attributes for each in seen):
         raise Fault(f"{light.name} has brought nothing back yet: press Light")
-    white = context.scene.torchprt.white
-    made = {None: lit_material(light, uv, None, material_of(None, [])["colour"] if white else (1.0, 1.0, 1.0))}
+    made = {None: lit_material(light, uv, None, material_of(None, [])["colour"] if light.white else (1.0, 1.0, 1.0))}
     for obj in objects:
         copy = None if uv else copy_of(context, obj)
         own = _own_materials(obj) or [None]
-        for each in own if white else ():
+        for each in own if light.white else ():
             if each not in made:
                 made[each] = lit_material(light, uv, each)
         for each in [obj] if copy is None else [obj, copy]:
-            _dress(each, [made[each if white else None] for each in own])
+            _dress(each, [made[slot if light.white else None] for slot in own])
         if copy is not None:
             copy.hide_set(False)
             copy.hide_render = False
@@ -874,8 +874,10 @@ def make_uvs(context):
                 "users of them (Object > Relations)"
             )
         meshes[obj.data] = obj.name
+    edited = []
     for obj in objects:
         layers = obj.data.uv_layers
+        edited.append((obj, max(layers.active_index, 0)))
         layer = layers.get(name) or layers.new(name=name)
         if layer is None:
             raise Fault(f"{obj.name} has eight UV maps already: take one away")
@@ -885,10 +887,12 @@ def make_uvs(context):
     try:
         bpy.ops.mesh.reveal()
         bpy.ops.mesh.select_all(action="SELECT")
-        # A gutter of two texels on each side.
-        bpy.ops.uv.smart_project(island_margin=4 / context.scene.torchprt.size, margin_method="FRACTION")
+        # Gutters are four texels wide on each side.
+        bpy.ops.uv.smart_project(island_margin=8 / context.scene.torchprt.size, margin_method="FRACTION")
     finally:
         bpy.ops.object.mode_set(mode="OBJECT")
+        for obj, index in edited:
+            obj.data.uv_layers.active_index = index
 
 
 # --- What is seen: settings, operators, panel.
@@ -912,6 +916,7 @@ class TorchprtLight(bpy.types.PropertyGroup):
     rotation: bpy.props.FloatProperty(
         name="Rotation", subtype="ANGLE", description="Turns the light about z, counter-clockwise seen from above"
     )
+    white: bpy.props.BoolProperty(description="Whether what came back is without base colour")
 
 
 class TorchprtSettings(bpy.types.PropertyGroup):

@@ -97,7 +97,7 @@ HOST = {
     "light.RectangleEmitter", "light.SphereEmitter", "light.WINDOWS", "light.blend_weights", "light.built_in",
     "light.capture", "light.local_light",
     "light.inspect", "light.read", "light.read_coefficients", "light.read_with_report", "light.studio",
-    "light.sample_points", "light.with_sample_points", "light.write_coefficients",
+    "light.sample_points", "light.with_sample_points", "light.write_coefficients", "light.write_exr",
 }  # fmt: skip
 
 

@@ -9,10 +9,11 @@ from texel_scenes import card, cube, halves, plane
 from textured_files import gltf, sheet
 
 from torchprt.errors import InputError
-from torchprt.scene import Material, Object, make_mesh, read_mesh
+from torchprt.scene import Lightmap, Material, Object, Scene, make_mesh, read_mesh
 from torchprt.scene.charts import AtlasWarning, charts_of
 from torchprt.scene.ground import ground
 from torchprt.scene.rasterise import overlap
+from torchprt.scene.texel_samples import texel_samples
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 
@@ -159,6 +160,14 @@ def test_files_keep_all_their_sets_and_the_way_of_v(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0.25\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
     mesh = read_mesh(tmp_path / "a.obj")
     assert mesh.uv_set(0)[0, :, 1].tolist() == [0.75, 1, 0]
+
+
+def test_a_chart_smaller_than_a_texel_has_one_and_is_counted():
+    scene = Scene([Object(plane(2, uv=(0.26, 0.26, 0.28, 0.28)), Material((0.1, 0.2, 0.3)))])
+    samples = texel_samples(scene, scene.geometry(), Lightmap(8, uv=0, samples=1))
+    assert samples.raster.texel.tolist() == [2 * 8 + 2]
+    assert samples.points.albedo[0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    assert any(each.startswith("1 chart smaller than a texel") for each in samples.notes)
 
 
 # Several objects

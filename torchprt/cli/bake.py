@@ -74,6 +74,8 @@ def bake(
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
     asked = bake_options.lightmap(texels, uv, texel_samples, gutter)
+    if asked is not None and sample_points is not None:
+        raise InputError("--sample-points are of vertices: leave --texels out, or the points")
     located = bake_options.located(sample_points, sample_gradients, seed or 0)
     recipe, predicted = None, dict[str, float]()
     if plan is not None:

@@ -104,6 +104,8 @@ def with_sample_points(transfer: Transfer, count: int, *, gradients: bool = Fals
     vertices = transfer.receivers
     if not vertices.on_surface:
         raise InputError("sample points are for surfaces: a volume is lit by one light from far away")
+    if vertices.surface_uv is not None:
+        raise InputError("sample points are of vertices: take the transfer there with transfer.to_vertices")
     if not isinstance(vertices, Vertices):
         raise InputError("the transfer is of the texels of a patch, which lies nowhere yet: light it after it is laid")
     subject = vertices

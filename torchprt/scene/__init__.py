@@ -1,6 +1,7 @@
 """Scenes: meshes read and checked, their materials, what they do, and procedural samples."""
 
 from . import samples
+from .charts import AtlasWarning
 from .check import MeshReport
 from .deform import bend, twist
 from .dress import file_material, object_of
@@ -26,6 +27,7 @@ from .volume_reading import read_volume
 
 __all__ = [
     "MATERIALS",
+    "AtlasWarning",
     "EnergyWarning",
     "Geometry",
     "Glosses",

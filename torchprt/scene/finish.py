@@ -22,6 +22,8 @@ from .surface import WIDTH, Opened, Painted, opened
 
 # A gloss whose reflectance is too low loses light, one whose reflectance is too high is weighed down.
 TOO_LOW, TOO_HIGH = 10.0, 0.1
+# More times than that no picture is made smaller by two.
+MOST = 64
 
 
 class Reflecting(NamedTuple):
@@ -225,12 +227,15 @@ def _looked(
     """What a material says at points of its faces `rows`."""
     if not painted.maps:
         return painted.at([], (), 1).expand(-1, len(rows))
-    kinds = torch.stack([_levels(each, areas, rows, side) for each in painted.maps], 1)
+    levels = [_levels(each, areas, rows, side) for each in painted.maps]
+    # Two pictures at most: one number for both.
+    kind = levels[0] * MOST + levels[-1]
     found = torch.zeros(WIDTH, len(rows))
-    for kind in kinds.unique(dim=0):
-        here = (kinds == kind).all(1).nonzero()[:, 0]
+    for number in kind.unique().tolist():
+        here = (kind == number).nonzero()[:, 0]
         uv = [_places(each, rows[here], weights[here]) for each in painted.maps]
-        found[:, here] = painted.at(uv, kind.tolist(), len(here))
+        chosen = (number // MOST, number % MOST)[-len(levels) :]
+        found[:, here] = painted.at(uv, chosen, len(here))
     return found
 
 

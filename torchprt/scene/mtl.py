@@ -42,6 +42,7 @@ def mtl_paints(source: Path, libraries: Sequence[str], names: Sequence[str]) -> 
       is black, as some exporters write beside a map). Rows of the picture run up with v.
     - `Pr` and `Pm` are roughness and metallic as in glTF. Without them, and if `illum` is 2 or more, `Ks` is the
       reflectance along the normal and `Ns`, the exponent of a Blinn-Phong lobe, a width sqrt(2 / (Ns + 2)) of GGX.
+    - `norm` or `map_Kn` is a normal map, in the tangent space of glTF. Height maps (`bump`) are left.
     - What is missing is said in `notes`: a file, a picture, a material.
 
     Source: the .mtl format of Wavefront; Walter, Marschner, Li and Torrance 2007, for the width of an exponent.

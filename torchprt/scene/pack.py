@@ -16,7 +16,7 @@ DENSE, STEP, TRIES = 0.75, 0.985, 40
 # The area of the mean chart, in texels, below which charts are not made smaller.
 LEAST = 0.05
 # On maps up to the one width every place is tried; up to the other every fourth in each direction, or some.
-SMALL, THOROUGH = 256, 4096
+SMALL, THOROUGH = 256, 2048
 # xatlas leaves out faces with an area below 1e-7 of its unit, which is to be far less than a texel.
 FINE = 1024.0
 
@@ -42,7 +42,7 @@ def pack(
     every, number = False, 0
     for attempt in range(TRIES):
         atlas = _packed(meshes, scale, side, squares, gutter, every)
-        if attempt == 0 and side > SMALL:
+        if attempt == 0 and SMALL < side <= THOROUGH:
             # Few large charts are packed best by the one way, many small ones by the other.
             other = _packed(meshes, scale, side, squares, gutter, not every)
             if _size(other) < _size(atlas):
@@ -88,7 +88,7 @@ def _packed(
     packing = xatlas.PackOptions()
     # It pads both of two neighbours. A single square may grow, which says how far it is from fitting.
     packing.padding, packing.texels_per_unit, packing.resolution = gutter, 1 / FINE, side if squares > 1 else 0
-    packing.bruteForce = side <= SMALL or (every and side <= THOROUGH)
+    packing.bruteForce = side <= SMALL or every
     packing.blockAlign = every
     atlas.generate(xatlas.ChartOptions(), packing)
     return atlas

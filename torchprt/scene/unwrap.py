@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from torchprt.errors import InputError
 
@@ -20,6 +22,8 @@ LARGEST = 0.02
 FEW = 40_000
 # What a mesh is made as wide as for xatlas, which takes areas and edges below 1e-7 for none.
 WIDTH = 1024.0
+# The size of a part, beside that of all, of which the steps of float32 are too coarse a picture.
+SMALL = 1e-4
 # How often what it left out, or laid over itself, is tried again.
 ROUNDS = 4
 # Samples along a side of all charts together, which are looked at for places in several faces.
@@ -88,15 +92,33 @@ def _fill(
     name: str,
     largest: float | None = None,
 ) -> None:
-    """Charts for `some` of the faces. What xatlas leaves out, as small beside the rest, is tried again alone."""
+    """Charts for `some` of the faces. Parts that are small beside the rest, and what xatlas leaves out, come later,
+    alone."""
     for _ in range(ROUNDS):
-        made = _charts(positions, faces[some], name, largest)
+        large = _large(positions, faces[some])
+        now = some[large]
+        made = _charts(positions, faces[now], name, largest)
         done = made.chart >= 0
-        found.uv[some[done]] = made.uv[done]
-        found.chart[some[done]] = made.chart[done] + found.chart.max() + 1
-        some = some[~done]
+        found.uv[now[done]] = made.uv[done]
+        found.chart[now[done]] = made.chart[done] + found.chart.max() + 1
+        some = np.setdiff1d(some, now[done])
         if not done.any() or not len(some):
             break
+
+
+def _large(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, "F"]:
+    """Faces of parts that are not far smaller than all of them together."""
+    used, index = np.unique(faces, return_inverse=True)
+    places, corner = positions[used], weld(positions[used])[index.reshape(-1, 3)]
+    ends = (corner[:, :2].ravel(), corner[:, 1:].ravel())
+    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), (len(used), len(used)))
+    parts, label = connected_components(graph, directed=False)
+    part = label[corner[:, 0]]
+    low, high = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
+    np.minimum.at(low, part, places[index.reshape(-1, 3)].min(axis=1))
+    np.maximum.at(high, part, places[index.reshape(-1, 3)].max(axis=1))
+    result: np.ndarray = (high - low).max(axis=1)[part] > SMALL * float((places.max(0) - places.min(0)).max())
+    return result if result.any() else np.ones(len(faces), bool)
 
 
 def _charts(
@@ -114,10 +136,11 @@ def _charts(
         return none
     # float32 is all that it takes; rounded to steps, so that a mesh of another size or place becomes the same numbers.
     small = (np.round((places - (low + high) / 2) / unit * 4096) / 4096).astype(np.float32)
-    area = _areas3(small[index])
-    kept = np.flatnonzero(area > 0)
+    kept = np.flatnonzero(_areas3(small[index].astype(np.float64)) > 0)
     if not len(kept):
         return none
+    # What is small is rounded to few steps, and is to be as wide as it was all the same.
+    area = _areas3(places[index]) / unit**2
     atlas = xatlas.Atlas()
     options, packing = xatlas.ChartOptions(), xatlas.PackOptions()
     options.max_cost = COST
@@ -185,7 +208,6 @@ def _areas(uv: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, "F"]:
     return result
 
 
-def _areas3(corners: Float32[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F"]:
-    corners = corners.astype(np.float64)
+def _areas3(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F"]:
     result: np.ndarray = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return result / 2
