@@ -61,3 +61,35 @@ def halves() -> Mesh:
     left = [(0.1 + 0.3 * x, 0.1 + 0.3 * z) for x, _, z in places[:4]]
     right = [(0.55 + 0.25 * z, 0.83 - 0.23 * (x - 1)) for x, _, z in places[4:]]
     return make_mesh(places, np.concatenate([SQUARE, SQUARE + 4]), uv=np.array(left + right), name="halves")
+
+
+def column(sides: int = 24) -> Mesh:
+    """The mantle of a column of height 1 and radius .1, smooth, in two charts: its halves, one upright on the map, one
+    lying; each side of it is narrower than a texel of a map of 64."""
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    ring = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], -1)
+    half = sides // 2
+    places, normals, pairs, faces = [], [], [], []
+    for part, (first, last) in enumerate(((0, half), (half, sides))):
+        some = ring[first : last + 1]
+        # The last of one half is the first of the other, to the bit.
+        some = np.where(np.arange(first, last + 1)[:, None] % sides == 0, ring[0], some)
+        along = np.linspace(0, 1, len(some))
+        start = sum(map(len, places))
+        for height in (0.0, 1.0):
+            places.append(0.1 * some + [0, height, 0])
+            normals.append(some)
+            across = np.full_like(along, height)
+            upright = np.stack([0.1 + 0.15 * along, 0.9 - 0.7 * across], -1)
+            lying = np.stack([0.3 + 0.6 * across, 0.2 + 0.12 * along], -1)
+            pairs.append(lying if part else upright)
+        low = np.arange(len(some) - 1) + start
+        high = low + len(some)
+        faces += [np.stack([low, low + 1, high + 1], -1), np.stack([low, high + 1, high], -1)]
+    return make_mesh(
+        np.concatenate(places),
+        np.concatenate(faces),
+        normals=np.concatenate(normals),
+        uv=np.concatenate(pairs),
+        name="column",
+    )

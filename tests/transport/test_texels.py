@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 import torch
 import trimesh
-from texel_scenes import card, cube, halves, plane
+from texel_scenes import card, column, cube, halves, plane
 
 from torchprt import memory
 from torchprt.errors import InputError
 from torchprt.scene import Lightmap, Material, Object, Points, Scene, make_mesh
-from torchprt.transfer import Atlas, Sight, Transfer
+from torchprt.scene.seams import LEVELS, seams
+from torchprt.transfer import Atlas, Sight, Transfer, bilinear
 from torchprt.transport import bake
 
 quiet = pytest.mark.filterwarnings("ignore::torchprt.transport.OrderWarning")
@@ -119,6 +120,29 @@ def test_both_sides_of_a_seam_are_read_alike() -> None:
     # A texel is .06 wide: the nearest of the same chart would be off by half of that.
     assert float((left - truth).abs().max()) < 1e-3
     assert float((right - truth).abs().max()) < 1e-3
+
+
+def test_a_seam_of_faces_narrower_than_a_texel_is_read_alike_from_both_sides() -> None:
+    mesh = column()
+    atlas = at_texels(Scene([Object(mesh)]), 64, rays=4).receivers
+    assert isinstance(atlas, Atlas)
+    faces, uv = mesh.faces.numpy(), mesh.uv.numpy()
+    normals = mesh.normals.numpy()[faces]
+    found = seams(mesh.positions.numpy(), faces, normals, uv, 1e-9)
+    count = len(found.face) // (4 * LEVELS)
+    # Two edges, from either side.
+    assert count == 4
+    share = torch.linspace(0.1, 0.9, 33, dtype=torch.float64)[:, None, None]
+    here, there = (
+        ((1 - share) * a + share * b).flatten(0, 1)
+        for a, b in (
+            (torch.from_numpy(each[:count, 0]), torch.from_numpy(each[:count, 1])) for each in (found.uv, found.place)
+        )
+    )
+    image = atlas.image(atlas.positions.double())
+    apart = (bilinear(image, here) - bilinear(image, there)).norm(dim=-1)
+    # A texel is 1 / (.7 * 64) high at least: faces that were extended, not left, put places tenfold that apart.
+    assert float(apart.max()) < 0.3 / 45
 
 
 def test_a_facet_does_not_shade_itself() -> None:
