@@ -62,7 +62,7 @@ def cube(texels=6, gutter=2, size=None):
         gutter=gutters.int(),
         gutter_sources=source[:, None].expand(-1, 4).contiguous().int(),
         gutter_weights=weights,
-        objects=[{"name": "cube.ply", "role": "receiver", "vertices": [0, 24], "faces": [0, 12]}],
+        objects=[{"name": "cube.ply", "role": "receiver", "vertices": [0, 24], "faces": [0, 12], "charts": [0, 6]}],
     )
 
 

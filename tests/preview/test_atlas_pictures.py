@@ -70,8 +70,10 @@ def test_refuses_radiance_of_other_receivers():
 
 def test_a_ground_is_not_framed_and_fades():
     place = cube()
-    twice = {"role": "ground", "vertices": [4, 24], "faces": [2, 12], "name": "floor"}
-    split_up = place.replace(objects=[{**place.objects[0], "vertices": [0, 4], "faces": [0, 2]}, twice])
+    twice = {"role": "ground", "vertices": [4, 24], "faces": [2, 12], "charts": [1, 6], "name": "floor"}
+    split_up = place.replace(
+        objects=[{**place.objects[0], "vertices": [0, 4], "faces": [0, 2], "charts": [0, 1]}, twice]
+    )
     assert torch.equal(subject(split_up), place.mesh_positions[:4])
     still = Still.of(split_up, size=(40, 40), camera=CAMERA)
     assert still.coverage.max() <= 1
@@ -224,7 +226,9 @@ def file_of_the_cube(path, welded, mapped=False):
         ],
     }
     made.save(path)
-    objects = [{"name": str(path), "role": "receiver", "vertices": [0, len(positions)], "faces": [0, 12]}]
+    objects = [
+        {"name": str(path), "role": "receiver", "vertices": [0, len(positions)], "faces": [0, 12], "charts": [0, 6]}
+    ]
     return place.replace(
         mesh_positions=torch.from_numpy(positions).float(),
         mesh_normals=torch.nn.functional.normalize(torch.from_numpy(positions).float(), dim=-1),

@@ -40,7 +40,7 @@ def atlas(size: int = 8) -> Atlas:
         gutter=edge,
         gutter_sources=nearest,
         gutter_weights=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(len(edge), 4).contiguous(),
-        objects=[{"name": "square", "role": "receiver", "vertices": [0, 4], "faces": [0, 2]}],
+        objects=[{"name": "square", "role": "receiver", "vertices": [0, 4], "faces": [0, 2], "charts": [0, 1]}],
     )
 
 

@@ -14,6 +14,7 @@ from torchprt import memory
 from torchprt.errors import InputError
 from torchprt.scene import Lightmap, Material, Object, Points, Scene, make_mesh
 from torchprt.scene.seams import LEVELS, seams
+from torchprt.shade import shader
 from torchprt.transfer import Atlas, Sight, Transfer, bilinear
 from torchprt.transport import bake
 
@@ -267,3 +268,26 @@ def test_light_from_one_side_stays_on_its_side_of_a_cube() -> None:
         near = torch.isin(atlas.gutter_sources[:, 0].long(), torch.nonzero(own)[:, 0])
         assert bool((image.flatten()[atlas.gutter.long()[near]] == value).all())
     assert math.isclose(float(image.max()), 1.0)
+
+
+def test_objects_of_a_map_can_be_taken_alone() -> None:
+    box, other = cube(name="box"), cube(name="other")
+    moved = make_mesh(other.positions + torch.tensor([2.0, 0.0, 0.0]), other.faces, uv=other.uv, name="other")
+    whole = at_texels(Scene([Object(box), Object(moved)]).on_ground(), 128, uv=None, rays=4, order=2)
+    atlas, light = whole.receivers.as_atlas(), torch.rand(4, 3)
+    ground = atlas.ground()
+    assert 0 < int(ground.sum()) < atlas.count / 2
+    for part, kept in ((whole.without_ground(), ~ground), (whole.only("other"), atlas.of_objects(["other"]))):
+        part.check()
+        place = part.receivers.as_atlas()
+        assert part.vertices == int(kept.sum())
+        assert len(place.mesh_faces) == 12 * len(place.objects)
+        radiance = shader(whole)(light)
+        assert torch.equal(shader(part)(light), radiance[kept])
+        # Its texels and its gutters show what they did.
+        shown, before = place.image(radiance[kept]), atlas.image(radiance)
+        assert torch.equal(shown[shown != 0], before[shown != 0])
+        assert float(place.mesh_positions[:, 1].min()) >= -0.5
+    assert whole.only("other").receivers.as_atlas().objects[0]["charts"] == [0, 6]
+    with pytest.raises(InputError, match="no object 'third': it has box, other, ground"):
+        whole.only("third")

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transfer.layout import REAL, WHOLE, Layout, check_indices
-from torchprt.transfer.receivers import Receivers
+from torchprt.transfer.receivers import Receivers, called
 
 
 @dataclass(kw_only=True, repr=False)
@@ -30,8 +30,8 @@ class Atlas(Receivers):
       where it goes on smoothly, else what is nearest in the same chart.
     - `sight [V]`: as in `Vertices`; None if all are valid.
     - `notes`: how the map was laid out, and what was mended, in sentences.
-    - `objects`: what they are of, a dictionary each: `name` of the mesh, `role`, and its `vertices` and `faces`,
-      [first, one past the last], among those of the meshes.
+    - `objects`: what they are of, a dictionary each: `name` of the mesh, `role`, and its `vertices`, `faces` and
+      `charts`, [first, one past the last], among those of the map.
 
     `faces` are two triangles between every four neighbours of a chart: what is near what along the surface. To draw, or
     to read values at places of the surface: `surface` and `at`; as a picture: `image`.
@@ -97,6 +97,61 @@ class Atlas(Receivers):
     def surface_uv(self) -> Float[Tensor, "F 3 2"]:
         return self.mesh_uv.nan_to_num(0.0)
 
+    def parts(self) -> Sequence[dict[str, Any]]:
+        return self.objects
+
+    def ground(self) -> Bool[Tensor, "V"]:
+        return self._of([each for each in self.objects if each["role"] == "ground"])
+
+    def of_objects(self, names: Sequence[str]) -> Bool[Tensor, "V"]:
+        return self._of([each for each in self.objects if any(called(each["name"], name) for name in names)])
+
+    def _of(self, objects: Sequence[dict[str, Any]]) -> Bool[Tensor, "V"]:
+        found = torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
+        for each in objects:
+            found |= (self.chart >= each["charts"][0]) & (self.chart < each["charts"][1])
+        return found
+
+    def take(self, index: Int[Tensor, "v"]) -> Atlas:
+        """Those that `index` names, each once and ascending, and the meshes of objects that any of them is of."""
+        device = index.device
+        place = torch.full((self.count,), -1, device=device)
+        place[index] = torch.arange(len(index), device=device)
+        used = place[self.gutter_sources.long()]
+        whole = ((used >= 0) | (self.gutter_weights == 0)).all(-1)
+        chart, objects = self.chart[index], []
+        vertices = torch.zeros(len(self.mesh_positions), dtype=torch.bool, device=device)
+        faces = torch.zeros(len(self.mesh_faces), dtype=torch.bool, device=device)
+        kept = torch.zeros(int(self.chart.max()) + 1 if self.count else 0, dtype=torch.bool, device=device)
+        for each in self.objects:
+            if bool(((chart >= each["charts"][0]) & (chart < each["charts"][1])).any()):
+                objects.append(each)
+                vertices[slice(*each["vertices"])], faces[slice(*each["faces"])] = True, True
+                kept[slice(*each["charts"])] = True
+        before = {
+            name: [0, *flags.cumsum(0).tolist()]
+            for name, flags in (("vertices", vertices), ("faces", faces), ("charts", kept))
+        }
+        number = (vertices.cumsum(0) - 1).to(self.mesh_faces.dtype)
+        return self.replace(
+            positions=self.positions[index],
+            normals=self.normals[index],
+            texel=self.texel[index],
+            chart=(kept.cumsum(0) - 1).to(self.chart.dtype)[chart.long()],
+            sight=None if self.sight is None else self.sight[index],
+            mesh_positions=self.mesh_positions[vertices],
+            mesh_normals=self.mesh_normals[vertices],
+            mesh_faces=number[self.mesh_faces[faces].long()],
+            mesh_uv=self.mesh_uv[faces],
+            gutter=self.gutter[whole],
+            gutter_sources=used[whole].clamp(min=0).to(self.gutter_sources.dtype),
+            gutter_weights=self.gutter_weights[whole],
+            objects=[
+                {**each, **{name: [rows[each[name][0]], rows[each[name][1]]] for name, rows in before.items()}}
+                for each in objects
+            ],
+        )
+
     def surface_ground(self) -> Bool[Tensor, "P"]:
         found = torch.zeros(len(self.mesh_positions), dtype=torch.bool, device=self.positions.device)
         for each in self.objects:
@@ -132,6 +187,9 @@ class Atlas(Receivers):
             kept = value if missing is None else value[~missing]
             if kept.is_floating_point() and not bool(kept.isfinite().all()):
                 raise InputError(f"tensor '{of}{name}' of the transfer holds NaN or infinite values: bake it again")
+        for each in self.objects:
+            if not {"name", "role", "vertices", "faces", "charts"} <= each.keys():
+                raise InputError(f"objects of the transfer hold {each}, which names no charts: bake it again")
         for name, numbers in (("texel", self.texel), ("gutter", self.gutter)):
             if len(numbers) > 1 and not bool((numbers[1:] > numbers[:-1]).all()):
                 raise InputError(f"{name} of the transfer must be in ascending order, each once: bake it again")

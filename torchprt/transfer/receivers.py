@@ -7,7 +7,7 @@ import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from torchprt.transfer.atlas import Atlas
     from torchprt.transfer.cells import Cells
     from torchprt.transfer.grid import Grid
+
+R = TypeVar("R", bound="Receivers")
 
 
 @dataclass(kw_only=True, repr=False)
@@ -61,6 +63,18 @@ class Receivers(Part, abc.ABC):
         corners = self.faces.long()[face.long()]
         parts = (values[..., corners[:, k], :] * weights[:, k, None].to(values.dtype) for k in range(3))
         return sum(parts, values.new_zeros(()))
+
+    def parts(self) -> Sequence[dict[str, Any]]:
+        """What they are of, with its `name` and `role`; empty if nothing is known of it."""
+        return ()
+
+    def of_objects(self, names: Sequence[str]) -> Bool[Tensor, "V"]:
+        """Which of them are of the objects whose meshes have these names."""
+        return torch.zeros(self.count, dtype=torch.bool, device=self.positions.device)
+
+    def take(self: R, index: Int[Tensor, "v"]) -> R:
+        """Those that `index` names, each once and ascending, and what is drawn of them."""
+        raise InputError("receivers of this kind are not of objects that could be taken apart: use them as a whole")
 
     def ground(self) -> Bool[Tensor, "V"]:
         """Which of them are of a ground: pictures are about the others."""
@@ -196,8 +210,10 @@ class Vertices(Receivers):
     def ground(self) -> Bool[Tensor, "V"]:
         return self._where(lambda each: each["role"] == "ground")
 
+    def parts(self) -> Sequence[dict[str, Any]]:
+        return self.objects
+
     def of_objects(self, names: Sequence[str]) -> Bool[Tensor, "V"]:
-        """Which of them are of the objects whose meshes have these names."""
         return self._where(lambda each: any(called(each["name"], name) for name in names))
 
     def _where(self, wanted: Callable[[dict[str, Any]], bool]) -> Bool[Tensor, "V"]:
@@ -208,7 +224,6 @@ class Vertices(Receivers):
         return found if self.original is None else found[self.original.long()]
 
     def take(self, index: Int[Tensor, "v"]) -> Vertices:
-        """Those that `index` names, each once and ascending, and the faces between them."""
         place = torch.full((self.count,), -1, device=index.device)
         place[index] = torch.arange(len(index), device=index.device)
         corners = place[self.faces.long()]

@@ -177,9 +177,10 @@ class Transfer:
 
     def with_ground(self) -> Transfer:
         """The same with its ground as one model among others: to be framed, shown whole and written."""
-        if not isinstance(self.receivers, Vertices):
+        parts = self.receivers.parts()
+        if not any(each["role"] == "ground" for each in parts):
             return self
-        objects = [{**each, "role": "receiver"} for each in self.receivers.objects]
+        objects = [{**each, "role": "receiver"} for each in parts]
         return dataclasses.replace(self, receivers=self.receivers.replace(objects=objects))
 
     def without_ground(self) -> Transfer:
@@ -193,18 +194,16 @@ class Transfer:
 
         Raises InputError if one is of no object, or nothing is known of objects.
         """
-        objects = self.receivers.objects if isinstance(self.receivers, Vertices) else ()
-        known = list(dict.fromkeys(each["name"] for each in objects))
+        known = list(dict.fromkeys(each["name"] for each in self.receivers.parts()))
         for name in names:
             if not any(called(each, name) for each in known):
                 found = ", ".join(Path(each).name for each in known) or "no names of any"
                 raise InputError(f"the transfer has no object '{name}': it has {found}")
-        assert isinstance(self.receivers, Vertices)
         return self._of(self.receivers.of_objects(names))
 
     def _of(self, keep: Bool[Tensor, "V"]) -> Transfer:
         """Of the receivers to `keep`, and layers that are of any of them."""
-        if bool(keep.all()) or not isinstance(self.receivers, Vertices):
+        if bool(keep.all()):
             return self
         index = keep.nonzero()[:, 0]
         place = keep.cumsum(0) - 1

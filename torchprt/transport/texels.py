@@ -132,14 +132,18 @@ class Lightmapped:
     def _objects(self, shown: Bool[Tensor, "F"]) -> list[dict[str, Any]]:
         scene = self.scene
         before = [0, *shown.long().cumsum(0).tolist()]
-        of_face = scene.face_object
+        of_face, covered = scene.face_object, self.samples.chart.unique()
         found = []
         for number, (name, role, rows) in enumerate(zip(scene.names, scene.roles, scene.slices, strict=True)):
             if rows.stop > rows.start:
                 mine = torch.nonzero(of_face == number)[:, 0]
                 first, last = int(mine[0]), int(mine[-1]) + 1
                 faces = [before[first], before[last]]
-                found.append({"name": name, "role": role, "vertices": [rows.start, rows.stop], "faces": faces})
+                # Charts ascend with the objects.
+                own = self.samples.chart_of_face[mine]
+                charts = torch.searchsorted(covered, torch.stack([own.min(), own.max() + 1])).tolist()
+                vertices = [rows.start, rows.stop]
+                found.append({"name": name, "role": role, "vertices": vertices, "faces": faces, "charts": charts})
         return found
 
 
