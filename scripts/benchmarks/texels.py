@@ -53,6 +53,10 @@ def run(path: Path | None = None, size: str = "1024") -> None:
         f"{other:.1f} s: {np.median(ratios):.2f} times ({ratios.min():.2f} to {ratios.max():.2f})"
     )
     print(f"of that xatlas {made:.1f} s for charts, {packed:.1f} s to pack them")
+    shares = (
+        f"{side}: {_area(pack([charts], side, side, lightmap.gutter)[0]):.0%}" for side in (256, 1024, 2048, 4096)
+    )
+    print(f"area of the charts on square maps, {', '.join(shares)}")
     kept = sum(each.numel() * each.element_size() for each in atlas.tensors().values())
     print(
         f"memory {peak / 2**10:.0f} MB at most, {peak * 1024 / texels.vertices:.0f} bytes a texel; the file "
@@ -64,6 +68,11 @@ def run(path: Path | None = None, size: str = "1024") -> None:
 def _timed(make: Callable[[], Transfer]) -> tuple[Transfer, float]:
     start = time.perf_counter()
     return make(), time.perf_counter() - start
+
+
+def _area(uv: np.ndarray) -> float:
+    one, other = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    return float(np.nansum(np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])) / 2)
 
 
 def _divided(scene: Scene, wanted: int) -> Scene:
