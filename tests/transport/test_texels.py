@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 import torch
 import trimesh
-from texel_scenes import card, column, cube, halves, plane
+from texel_scenes import SQUARE, card, column, cube, halves, plane
 
 from torchprt import memory
 from torchprt.errors import InputError
-from torchprt.scene import Lightmap, Material, Object, Points, Scene, make_mesh
+from torchprt.scene import Lightmap, Material, Object, Points, Scene, make_mesh, samples
 from torchprt.scene.seams import LEVELS, seams
 from torchprt.shade import shader
 from torchprt.transfer import Atlas, Sight, Transfer, bilinear
@@ -231,6 +231,24 @@ def test_glossy_texels_are_as_vertices_in_their_places(kind: dict[str, Any]) -> 
     axis = 2 if layer.signal.values.ndim == 3 else 1
     there = other.signal.values.index_select(axis, nearest)
     assert float((layer.signal.values - there).norm() / there.norm()) < 0.02
+
+
+def test_light_comes_by_way_of_mirrors_to_texels_as_to_vertices() -> None:
+    upright = torch.tensor([[1.2, 0.1, -1.0], [1.2, 0.1, 1.0], [1.2, 2.0, 1.0], [1.2, 2.0, -1.0]])
+    glass = make_mesh(upright, SQUARE, name="glass")
+    mirror = Object(glass, Material(mirror=(0.9, 0.5, 0.3)))
+    texels = at_texels(Scene([Object(plane()), mirror]), 10, samples=1, rays=256, order=3)
+    inner = 1 - 1 / 8
+    vertices = bake(Scene([Object(plane(7, -inner, inner)), mirror]), rays=256, order=3, progress=False)
+    _, nearest = torch.cdist(texels.positions.double(), vertices.positions.double()).min(1)
+    assert texels.channels == 3
+    # One ray of 256 or two may turn at the rim of the mirror.
+    assert float((vectors(texels) - vectors(vertices)[:, :, nearest]).abs().max()) < 2 / 256 * 1.5
+    black = Object(glass, Material(0.0), "blocker")
+    blocked = at_texels(Scene([Object(plane()), black]), 10, samples=1, rays=256, order=3)
+    assert float((vectors(texels) - vectors(blocked)).abs().max()) > 0.05
+    with pytest.raises(InputError, match="not followed through a volume"):
+        at_texels(Scene([Object(plane()), mirror]), 10, rays=16, volume=samples.cloud(4))
 
 
 def test_the_same_bits_for_any_threads_and_after_an_interruption(tmp_path: Any) -> None:

@@ -42,7 +42,7 @@ class TexelSamples:
       specular, the gloss of its first sample.
     - `origins [V, S, 3]`: where rays start, before they are lifted off the surface: samples, moved out to where a
       smooth surface through the vertices with their normals would be, so that a facet does not shade itself.
-    - `face [V, S]`: of all faces of the scene; `extent [V]`: that of the largest of them.
+    - `extent [V]`: that of the largest of the faces that its samples lie in.
     - `chart [V]`; of all faces of the scene `chart_of_face [F]`, and `uv [F, 3, 2]`, NaN where they record nothing.
     - `seams`: where surfaces go on beyond the borders of charts, in texels.
     - `notes`: what was decided and mended, in sentences.
@@ -53,7 +53,6 @@ class TexelSamples:
     points: Points
     raster: Raster
     origins: Float64[Tensor, "V S 3"]
-    face: Int64[Tensor, "V S"]
     extent: Float64[Tensor, "V"]
     chart: Int64[Tensor, "V"]
     chart_of_face: Int64[Tensor, "F"]
@@ -90,13 +89,12 @@ def texel_samples(scene: Scene, geometry: Geometry, lightmap: Lightmap) -> Texel
     # Samples beyond a seam are of another chart.
     chart_of_texel = chart[raster.face[:, 0]]
     raster = with_seams(raster, beyond, uv, chart, lightmap.rows, lightmap.columns, lightmap.across)
-    samples = _Samples(objects, geometry, raster, uv * size)
+    samples = _Samples(objects, raster, uv * size)
     return TexelSamples(
         lightmap,
         samples.points(),
         raster,
         samples.origins,
-        torch.from_numpy(raster.face.astype(np.int64)),
         samples.extent,
         torch.from_numpy(chart_of_texel),
         torch.from_numpy(chart),
@@ -138,11 +136,10 @@ def _notes(objects: Sequence[Object], raster: Raster, uv: np.ndarray, chart: np.
 class _Samples:
     """What is at the samples of all texels, object by object."""
 
-    def __init__(self, objects: Sequence[Object], geometry: Geometry, raster: Raster, corners: np.ndarray):
+    def __init__(self, objects: Sequence[Object], raster: Raster, corners: np.ndarray):
         """`corners [F, 3, 2]`: of all faces, in texels of the map."""
         self.notes: list[str] = []
         texels, per = raster.face.shape
-        self.channels = 3 if any(each.coloured for each in objects) else 1
         self.positions = torch.zeros(texels, 3, dtype=torch.float64)
         self.normals, self.tangents = torch.zeros_like(self.positions), torch.zeros_like(self.positions)
         self.origins = torch.zeros(texels, per, 3, dtype=torch.float64)

@@ -160,7 +160,10 @@ def lightmapped(scene: Scene, geometry: Geometry, lightmap: Lightmap, numbers: i
     check_memory(
         count * (4 * numbers + _TEXEL + _SAMPLE * lightmap.samples), f"{what}, {count} of them covered,", instead
     )
-    return Lightmapped(samples, geometry, among(samples.points, geometry))
+    recorded = among(samples.points, geometry)
+    # Mirrors stay: light that meets them goes on, and what cannot be recorded with them is refused.
+    recorded = dataclasses.replace(recorded, mirror=geometry.mirror, reflectance=geometry.reflectance)
+    return Lightmapped(samples, geometry, recorded)
 
 
 # Bytes of a sample of a map while it is rasterised, of a texel, and of one of its samples, as measured.
