@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchprt.trace.tracer import Hits, Tracer
+from torchprt.trace.hits import Hits
+from torchprt.trace.tracer import Tracer
 
 # Reflections from mirror to mirror after which what is left of the light of a ray is cut off, and said.
 REFLECTIONS = 32

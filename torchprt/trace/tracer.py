@@ -6,26 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.trace.engines import chosen
+from torchprt.trace.engines import engine as engine_of
+from torchprt.trace.hits import Hits
+from torchprt.trace.rays import starts
 
 # Rays start this far off their surface, relative to the coordinates that were rounded to float32 and to the triangles
 # that meet there: 64 epsilon. Embree's own error on such a triangle is a few epsilon of the same lengths, the
 # rounding of the origin half an epsilon.
 OFFSET = 64 * 2.0**-23
-
-
-@dataclass
-class Hits:
-    """The nearest hit of every ray: `triangle` (-1 where it escapes), barycentrics `u`, `v` of the second and third
-    corner, and whether the `front` of the triangle was hit (counter-clockwise corners seen from the ray)."""
-
-    triangle: Int[Tensor, "*rays"]
-    u: Float[Tensor, "*rays"]
-    v: Float[Tensor, "*rays"]
-    front: Bool[Tensor, "*rays"]
 
 
 @dataclass
@@ -44,24 +37,19 @@ class Spot:
         return self.place + lift[:, None] * away
 
 
-def starts(origins: Float[Tensor, "v *S 3"], rays: int) -> Float[Tensor, "v {rays} 3"]:
-    """Where each ray of a receiver starts: all at its one origin, or every S-th at the same of S."""
-    if origins.ndim == 2:
-        return origins[:, None].expand(-1, rays, -1)
-    return origins[:, torch.arange(rays) % origins.shape[1]]
-
-
 class Tracer:
     """Rays against the triangles of a scene.
 
     Positions are recentred in float64 and scaled by a power of two to unit size before they become float32, so that
     a scan in micrometres far from its origin is traced as exactly as one around it.
-    Embree runs in robust mode: no ray slips through a shared edge. Thread-safe; embreex releases the GIL.
-    Pickles as its geometry alone.
+    Embree runs in robust mode: no ray slips through a shared edge. Thread-safe, without the GIL while it traces.
+    Pickles as its geometry and the name of its `engine`, of those of `engines.py`; where that cannot run InputError is
+    raised, because rays that meet a triangle at its very edge may end elsewhere with another.
     Source of the offset: Waechter and Binder, Ray Tracing Gems 1, chapter 6.
     """
 
-    def __init__(self, positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]):
+    def __init__(self, positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], engine: str | None = None):
+        self.engine = engine or chosen()
         self._positions = positions.detach().to("cpu", torch.float64)
         self._faces = faces.detach().to("cpu", torch.int32).contiguous()
         if len(self._faces) == 0:
@@ -76,18 +64,11 @@ class Tracer:
         self._build()
 
     def _build(self) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         vertices = self.local(self._positions).to(torch.float32).contiguous().numpy()
-        self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, vertices, self._faces.numpy())
-        # The first query builds the tree; it must not race with others.
-        zero = np.zeros((1, 3), np.float32)
-        self._scene.run(zero, zero + np.float32(1), query="OCCLUDED")
+        self._embree = engine_of(self.engine)(vertices, self._faces.numpy())
 
     def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_scene", "_mesh")}
+        return {name: value for name, value in self.__dict__.items() if name != "_embree"}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
@@ -126,9 +107,7 @@ class Tracer:
         `origins` from `origins()`, one a receiver or S, [v, S, 3], of which every S-th ray has the same; `directions`
         in the local frames whose rows are tangent, bitangent and normal.
         """
-        start, rays = self._rays(origins, frames, directions)
-        blocked = self._scene.run(start, rays, query="OCCLUDED")
-        return torch.from_numpy(blocked).view(len(origins), len(directions))
+        return self._embree.visibility(origins, frames, directions)
 
     def hits(
         self,
@@ -137,8 +116,7 @@ class Tracer:
         directions: Float[Tensor, "D 3"],
     ) -> Hits:
         """The nearest hit of every ray; arguments as for `visibility`."""
-        start, rays = self._rays(origins, frames, directions)
-        return self._nearest(start, rays, (len(origins), len(directions)))
+        return self._embree.hits(origins, frames, directions)
 
     def distances(self, origins: Float[Tensor, "v *S 3"], hits: Hits) -> Float[Tensor, "v D"]:
         """How far the hits are from the `origins` of their rays, in the frame of the tracer; infinity where a ray
@@ -158,12 +136,13 @@ class Tracer:
         height, width = directions.shape[:2]
         rays = np.ascontiguousarray(directions.reshape(-1, 3).to(torch.float32).numpy())
         start = np.ascontiguousarray(self.local(eye).to(torch.float32).expand(height * width, 3).numpy())
-        return self._nearest(start, rays, (height, width))
+        found = self._embree.nearest(start, rays)
+        return Hits(*(part.view(height, width) for part in vars(found).values()))
 
     def onward(self, origins: Float[Tensor, "E 3"], directions: Float[Tensor, "E 3"]) -> Hits:
         """The nearest hit of single rays: `origins` of `Spot.leave`, `directions` in the world."""
         start, rays = (part.to(torch.float32).contiguous().numpy() for part in (origins, directions))
-        return self._nearest(start, rays, (len(start),))
+        return self._embree.nearest(start, rays)
 
     def surface(
         self,
@@ -183,20 +162,3 @@ class Tracer:
         smooth = torch.where(length > 1e-6, smooth / length.clamp(min=1e-6), normal)
         extent = (places.amax(1) - places.amin(1)).amax(-1)
         return Spot((places * weights).sum(1), normal, smooth, extent)
-
-    def _nearest(self, start: np.ndarray, rays: np.ndarray, shape: tuple[int, ...]) -> Hits:
-        found = self._scene.run(start, rays, output=1)
-        facing = np.einsum("rk,rk->r", found["Ng"], rays) < 0
-        triangle, u, v, front = (
-            torch.from_numpy(part).view(shape) for part in (found["primID"], found["u"], found["v"], facing)
-        )
-        return Hits(triangle, u, v, front)
-
-    @staticmethod
-    def _rays(origins: Tensor, frames: Tensor, directions: Tensor) -> tuple[np.ndarray, np.ndarray]:
-        """`[v * D, 3]` origins and directions, the rays of one point together (better for the caches of Embree)."""
-        rays = len(directions)
-        start = starts(origins, rays).reshape(-1, 3)
-        # Components first: three products that stream; embreex reads any strides.
-        world = torch.mm(frames.transpose(1, 2).transpose(0, 1).reshape(-1, 3), directions.T).view(3, -1)
-        return start.numpy(), world.numpy().T
