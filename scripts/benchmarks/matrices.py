@@ -41,7 +41,7 @@ GLOSS = "ggx:0.3"
 def share_of_tracing(scene: Scene, threads: int) -> Table:
     """Rounds of a bake of matrices and of its bare rays, in turns."""
     geometry = scene.geometry()
-    tracer = Tracer(geometry.positions, geometry.faces)
+    tracer = Tracer(geometry.positions, geometry.faces, "embreex")
     receivers = vertex_receivers(geometry, tracer)
     rounds = []
     for _ in range(ROUNDS):
