@@ -143,7 +143,7 @@ class Shaded:
         world = torch.eye(3).expand(1, 3, 3)
         rows = []
         for origin, normal in zip(origins, self.normals.double(), strict=True):
-            seen = -self.tracer.visibility(origin[None], world, lamp.directions.float())[0].double()
+            seen = self.tracer.visibility(origin[None], world, lamp.directions.float())[0].double()
             rows.append((seen * (lamp.directions @ normal).clamp(min=0)) @ lamp.power / math.pi)
         return torch.stack(rows)
 

@@ -148,7 +148,7 @@ def drawn(transfer: Transfer, under: Tensor, rays: int) -> Tensor:
         aside = torch.where(toward[:, :1].abs() < 0.7, torch.tensor([1.0, 0, 0]), torch.tensor([0, 1.0, 0])).double()
         tangent = normalize(torch.linalg.cross(aside, toward), dim=-1)
         frames = torch.stack([tangent, torch.linalg.cross(toward, tangent), toward], 1).float()
-        open_ = tracer.visibility(origins, frames, up)[:, 0] < 0
+        open_ = tracer.visibility(origins, frames, up)[:, 0] > 0
         total += open_[:, None] * (sh.basis(toward.float(), ORDER) @ under)
     return transfer.albedo * total / rays
 

@@ -66,8 +66,8 @@ class Watch:
 
 
 def bare_tracing(tracer: Tracer, receivers: Receivers, threads: int) -> tuple[float, float]:
-    """Wall (a thread) and CPU seconds that embreex takes for the rays of a bake, in its blocks and threads; the engine of
-    the tracer is embreex."""
+    """Wall (a thread) and CPU seconds that embreex, the engine of the tracer, takes for the rays of a bake, in its
+    blocks and threads."""
     rays = hemisphere(RAYS).to(torch.float32)
     embree, watch = tracer._embree._scene, Watch()
 

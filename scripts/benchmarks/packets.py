@@ -88,7 +88,9 @@ def rates(scene: Scene) -> Table:
     _, receivers = of_scene(scene, "embreex")
     alone, _ = of_scene(scene, "embreex")
     million = len(receivers) * RAYS / 1e6
-    measures: dict[str, Callable[[], float]] = {f"bake, {engine}": lambda e=engine: baked(scene, e) for engine in ENGINES}
+    measures: dict[str, Callable[[], float]] = {
+        f"bake, {engine}": lambda e=engine: baked(scene, e) for engine in ENGINES
+    }
     measures["bare embreex"] = lambda: bare_tracing(alone, receivers, threads)[0]
     if (mitsuba := with_mitsuba(scene)) is not None:
         measures["Mitsuba, ray_test"] = mitsuba

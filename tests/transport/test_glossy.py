@@ -115,7 +115,7 @@ def test_shadowed_matrices_agree_with_brute_force(projection):
     receivers = vertex_receivers(geometry, tracer)
     turned = tangent_frames(receivers.normals, geometry.tangents)
     directions = hemisphere(200)
-    visible = -tracer.visibility(receivers.origins, turned.float(), directions.float()).double()
+    visible = tracer.visibility(receivers.origins, turned.float(), directions.float()).double()
     kernel = brdf.exit_kernel(model, directions, 4, projection)
     for point in range(0, len(receivers), 7):
         world = sh.basis(directions @ turned[point], 3)
@@ -134,7 +134,7 @@ def test_exit_radiance_of_a_shadowed_vertex_agrees_with_the_integral():
     tracer = Tracer(geometry.positions, geometry.faces)
     receivers = vertex_receivers(geometry, tracer)
     directions = hemisphere(16384, seed=9)
-    visible = -tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
+    visible = tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
     turned = receivers.frames().double()
     found = sh.exit_functions(torch.einsum("vij,ej->vei", frames_of(transfer), torch.eye(3).double()), 9)
     assert found.shape == (len(receivers), 3, 81)

@@ -55,7 +55,7 @@ def test_one_bounce_off_a_glossy_wall_agrees_with_brute_force():
     directions = hemisphere(1024, seed=2)
     solid_angle = 2 * math.pi / len(directions)
     turned = receivers.frames().double()
-    visible = -tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
+    visible = tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
 
     def direct(point, toward):
         """Exit radiance of a receiver toward world directions, for every coefficient: its own integral."""

@@ -280,10 +280,12 @@ def test_filling_then_lighting_is_lighting_then_filling():
     from torchprt.trace import Tracer
     from torchprt.transport.sight import with_sight
     from torchprt.transport.solve import vertex_receivers
+    from torchprt.transport.workers import Threads
 
     geometry = standing().geometry()
     tracer = Tracer(geometry.positions, geometry.faces)
-    _, _, validity = with_sight(geometry, tracer, vertex_receivers(geometry, tracer))
+    with Threads(1) as workers:
+        _, _, validity = with_sight(geometry, tracer, vertex_receivers(geometry, tracer), workers)
     generator = torch.Generator().manual_seed(0)
     arriving = torch.rand(geometry.receivers, 9, generator=generator)
     light = torch.rand(9, 1, generator=generator)

@@ -72,7 +72,7 @@ def exit_radiance_by_brute_force(
     for index, brdf in enumerate(geometry.gloss):
         kernel = _kernel(brdf, views.double(), directions)
         for some in torch.nonzero(material == index)[:, 0].split(max(1, _BLOCK // harmonics.numel())):
-            escapes = -tracer.visibility(receivers.origins[some], frames[some].float(), directions.float())
+            escapes = tracer.visibility(receivers.origins[some], frames[some].float(), directions.float())
             seen = escapes.double().T.unsqueeze(-1) * harmonics.unsqueeze(1)
             found[:, some] = (kernel @ seen.flatten(1)).view(len(views), len(some), harmonics.shape[1])
     found[:, normals.abs().sum(-1) == 0] = 0

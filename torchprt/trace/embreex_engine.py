@@ -14,6 +14,9 @@ from torchprt.trace.rays import in_the_world
 class Embreex:
     """An `Engine`: Embree in robust mode, by way of embreex."""
 
+    # Rays and their answers stay in a core's cache.
+    at_once = 1 << 16
+
     def __init__(self, vertices: Float32[np.ndarray, "V 3"], faces: Int32[np.ndarray, "F 3"]) -> None:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -26,11 +29,12 @@ class Embreex:
 
     def visibility(
         self, origins: Float[Tensor, "v *S 3"], frames: Float[Tensor, "v 3 3"], directions: Float[Tensor, "D 3"]
-    ) -> Int32[Tensor, "v D"]:
+    ) -> Float32[Tensor, "v D"]:
         """As `Engine.visibility`."""
         start, rays = in_the_world(origins, frames, directions)
         blocked = self._scene.run(start, rays, query="OCCLUDED")
-        return torch.from_numpy(blocked).view(len(origins), len(directions))
+        # Embree's own numbers are -1 for a ray that escapes, and 0.
+        return torch.from_numpy(blocked).view(len(origins), len(directions)).to(torch.float32).neg_()
 
     def hits(
         self, origins: Float[Tensor, "v *S 3"], frames: Float[Tensor, "v 3 3"], directions: Float[Tensor, "D 3"]

@@ -29,12 +29,16 @@ class CannotRun(Exception):
 
 
 class Engine(Protocol):
-    """A tree of triangles that answers rays; thread-safe, without the GIL. Arguments as those of `Tracer`."""
+    """A tree of triangles that answers rays; thread-safe, without the GIL. Arguments as those of `Tracer`.
+
+    `at_once`: how many rays it answers fastest when asked what is visible."""
+
+    at_once: int
 
     def visibility(
         self, origins: Float[Tensor, "v *S 3"], frames: Float[Tensor, "v 3 3"], directions: Float[Tensor, "D 3"]
-    ) -> Int32[Tensor, "v D"]:
-        """-1 where the ray escapes, 0 where anything blocks it."""
+    ) -> Float32[Tensor, "v D"]:
+        """1 where the ray escapes, 0 where anything blocks it."""
 
     def hits(
         self, origins: Float[Tensor, "v *S 3"], frames: Float[Tensor, "v 3 3"], directions: Float[Tensor, "D 3"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from types import SimpleNamespace
 from typing import no_type_check
 
 import numpy as np
@@ -11,7 +13,7 @@ from numba.extending import intrinsic
 
 # Rows of RTCRay<lanes> and RTCRayHit<lanes> (embree4/rtcore_ray.h), each `lanes` numbers of 4 bytes; two more than they
 # have, for the instances of instances.
-ORIGIN, NEAR, DIRECTION, FAR, MASK, NORMAL, U, V, TRIANGLE, ROWS = 0, 3, 4, 8, 9, 12, 15, 16, 17, 24
+ORIGIN, DIRECTION, FAR, MASK, NORMAL, U, V, TRIANGLE, ROWS = 0, 4, 8, 9, 12, 15, 16, 17, 24
 # As embreex has it.
 FARTHEST = np.float32(1e37)
 # What Embree wants of a packet, in numbers of 4 bytes.
@@ -38,148 +40,161 @@ def _call(typing, address, valid, scene, packet):
 
 @njit(nogil=True)
 @no_type_check
-def _aligned(rows, lanes):
-    """Rows of a packet where Embree can read them."""
-    memory = np.zeros((rows * lanes + ALIGNED), np.float32)
-    shift = (-(memory.ctypes.data // 4)) % ALIGNED
-    return memory[shift : shift + rows * lanes]
-
-
-@njit(nogil=True)
-@no_type_check
-def _prepared(lanes):
-    """A packet and its mask, with all that is the same for all rays."""
-    packet = _aligned(ROWS, lanes)
-    numbers = packet.view(np.int32)
-    valid = _aligned(1, lanes).view(np.int32)
-    for lane in range(lanes):
-        numbers[MASK * lanes + lane] = -1
-        valid[lane] = -1
-    return packet, numbers, valid
-
-
-@njit(nogil=True)
-@no_type_check
-def _aim(packet, valid, lanes, origins, frame, directions, places, first, count):
-    """Puts the rays from `first` on into the packet, in the frame of a receiver."""
-    for lane in range(lanes):
-        x, y, z = directions[0, first + lane], directions[1, first + lane], directions[2, first + lane]
-        packet[DIRECTION * lanes + lane] = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
-        packet[(DIRECTION + 1) * lanes + lane] = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
-        packet[(DIRECTION + 2) * lanes + lane] = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
-        packet[FAR * lanes + lane] = FARTHEST
-    if len(origins) > 1:
-        for lane in range(lanes):
-            origin = origins[places[first + lane] % len(origins)]
-            for axis in range(3):
-                packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
-    if count < first + lanes:
-        for lane in range(lanes):
-            valid[lane] = -1 if first + lane < count else 0
-
-
-@njit(nogil=True)
-@no_type_check
-def _stand(packet, valid, lanes, origin):
-    """Puts the origin of a receiver into the packet, whose lanes all count again."""
+def _near(origins):
+    """The order in which receivers are near the one before (Morton's): they meet the same part of the tree."""
+    code = np.zeros(len(origins), np.int64)
+    extent = np.float32(0)
     for axis in range(3):
-        for lane in range(lanes):
-            packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
-    for lane in range(lanes):
-        valid[lane] = -1
-
-
-@njit(nogil=True, cache=True)
-@no_type_check
-def visibility(function, scene, lanes, origins, frames, directions, places, count, answers):
-    """Writes -1 into `answers [v, D]` where a ray escapes, else 0.
-
-    `origins [v, S, 3]`, `frames [v, 3, 3]`; `directions [3, R]` and `places [R]`, where each stood before they were put
-    in the order of packets, R = `count` rounded up to whole packets."""
-    packet, _, valid = _prepared(lanes)
-    for row in range(len(origins)):
-        _stand(packet, valid, lanes, origins[row, 0])
-        for first in range(0, len(places), lanes):
-            _aim(packet, valid, lanes, origins[row], frames[row], directions, places, first, count)
-            _call(function, valid.ctypes.data, scene, packet.ctypes.data)
-            for lane in range(min(lanes, count - first)):
-                answers[row, places[first + lane]] = 0 if packet[FAR * lanes + lane] < 0 else -1
-
-
-@njit(nogil=True)
-@no_type_check
-def _keep(packet, numbers, lanes, lane, triangle, u, v, front, place):
-    """Writes what one ray of a packet has hit to its place."""
-    found = numbers[TRIANGLE * lanes + lane]
-    triangle[place] = found
-    if found < 0:
-        u[place], v[place], front[place] = 0, 0, False
-        return
-    u[place], v[place] = packet[U * lanes + lane], packet[V * lanes + lane]
-    facing = np.float32(0)
-    for axis in range(3):
-        facing += packet[(NORMAL + axis) * lanes + lane] * packet[(DIRECTION + axis) * lanes + lane]
-    front[place] = facing < 0
-
-
-@njit(nogil=True)
-@no_type_check
-def _clear(numbers, lanes):
-    """Before a packet asks for hits: there are none. Embree reads the row of geometries and writes the others."""
-    for row in range(TRIANGLE, ROWS):
-        for lane in range(lanes):
-            numbers[row * lanes + lane] = -1
-
-
-@njit(nogil=True, cache=True)
-@no_type_check
-def hits(function, scene, lanes, origins, frames, directions, places, count, triangle, u, v, front):
-    """As `visibility`, the nearest hits instead: all of `[v, D]`."""
-    packet, numbers, valid = _prepared(lanes)
-    for row in range(len(origins)):
-        _stand(packet, valid, lanes, origins[row, 0])
-        for first in range(0, len(places), lanes):
-            _aim(packet, valid, lanes, origins[row], frames[row], directions, places, first, count)
-            _clear(numbers, lanes)
-            _call(function, valid.ctypes.data, scene, packet.ctypes.data)
-            for lane in range(min(lanes, count - first)):
-                place = places[first + lane]
-                _keep(packet, numbers, lanes, lane, triangle[row], u[row], v[row], front[row], place)
-
-
-@njit(nogil=True)
-@no_type_check
-def _gather(packet, valid, lanes, origins, directions, first):
-    """Puts single rays from `first` on into the packet."""
-    for lane in range(lanes):
-        ray = min(first + lane, len(origins) - 1)
-        valid[lane] = -1 if first + lane < len(origins) else 0
+        extent = max(extent, origins[:, 0, axis].max() - origins[:, 0, axis].min())
+    if extent > 0:
         for axis in range(3):
-            packet[(ORIGIN + axis) * lanes + lane] = origins[ray, axis]
-            packet[(DIRECTION + axis) * lanes + lane] = directions[ray, axis]
-        packet[FAR * lanes + lane] = FARTHEST
+            low = origins[:, 0, axis].min()
+            for row in range(len(origins)):
+                cell = np.int64((origins[row, 0, axis] - low) / extent * np.float32(1023))
+                for bit in range(10):
+                    code[row] |= ((cell >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="mergesort")
 
 
-@njit(nogil=True, cache=True)
-@no_type_check
-def rays_visible(function, scene, lanes, origins, directions, answers):
-    """As `visibility`, of single rays: `origins` and `directions [E, 3]`, `answers [E]`."""
-    packet, _, valid = _prepared(lanes)
-    for first in range(0, len(origins), lanes):
-        _gather(packet, valid, lanes, origins, directions, first)
-        _call(function, valid.ctypes.data, scene, packet.ctypes.data)
-        for lane in range(min(lanes, len(origins) - first)):
-            answers[first + lane] = 0 if packet[FAR * lanes + lane] < 0 else -1
+@functools.cache
+def kernels(lanes: int) -> SimpleNamespace:
+    """The loops for packets of so many rays, a constant of what is compiled:
 
+    - `visibility(function, scene, origins, frames, directions, places, count, answers)` writes 1 into `answers [v, D]`
+      where a ray escapes, else 0. `origins [v, S, 3]`, `frames [v, 3, 3]`; `directions [3, R]` and `places [R]`, where
+      each stood before they were put in the order of packets, R = `count` rounded up to whole packets;
+    - `hits(..., triangle, u, v, front)`, all `[v, D]`, the nearest hits instead;
+    - `rays_visible(function, scene, origins, directions, answers)` and `rays_hit(..., triangle, u, v, front)` of single
+      rays, `[E, 3]` and `[E]`.
+    `function` and `scene` are addresses. All arrays are contiguous.
+    """
 
-@njit(nogil=True, cache=True)
-@no_type_check
-def rays_hit(function, scene, lanes, origins, directions, triangle, u, v, front):
-    """As `hits`, of single rays."""
-    packet, numbers, valid = _prepared(lanes)
-    for first in range(0, len(origins), lanes):
-        _gather(packet, valid, lanes, origins, directions, first)
-        _clear(numbers, lanes)
-        _call(function, valid.ctypes.data, scene, packet.ctypes.data)
-        for lane in range(min(lanes, len(origins) - first)):
-            _keep(packet, numbers, lanes, lane, triangle, u, v, front, first + lane)
+    @njit(nogil=True)
+    @no_type_check
+    def aligned(rows):
+        memory = np.zeros((rows * lanes + ALIGNED), np.float32)
+        shift = (-(memory.ctypes.data // 4)) % ALIGNED
+        return memory[shift : shift + rows * lanes]
+
+    @njit(nogil=True)
+    @no_type_check
+    def prepared():
+        """A packet and which of its lanes count, with all that is the same for all rays."""
+        packet = aligned(ROWS)
+        numbers = packet.view(np.int32)
+        valid = aligned(1).view(np.int32)
+        for lane in range(lanes):
+            numbers[MASK * lanes + lane] = -1
+        return packet, numbers, valid
+
+    @njit(nogil=True)
+    @no_type_check
+    def stand(packet, valid, origin):
+        """Puts the origin of a receiver into the packet, whose lanes all count again."""
+        for axis in range(3):
+            for lane in range(lanes):
+                packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
+        for lane in range(lanes):
+            valid[lane] = -1
+
+    @njit(nogil=True)
+    @no_type_check
+    def aim(packet, valid, origins, frame, directions, places, first, count):
+        """Puts the rays from `first` on into the packet, in the frame of a receiver."""
+        for lane in range(lanes):
+            x, y, z = directions[0, first + lane], directions[1, first + lane], directions[2, first + lane]
+            packet[DIRECTION * lanes + lane] = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
+            packet[(DIRECTION + 1) * lanes + lane] = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
+            packet[(DIRECTION + 2) * lanes + lane] = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+            packet[FAR * lanes + lane] = FARTHEST
+        if len(origins) > 1:
+            for lane in range(lanes):
+                origin = origins[places[first + lane] % len(origins)]
+                for axis in range(3):
+                    packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
+        if count < first + lanes:
+            for lane in range(lanes):
+                valid[lane] = -1 if first + lane < count else 0
+
+    @njit(nogil=True)
+    @no_type_check
+    def gather(packet, valid, origins, directions, first):
+        """Puts single rays from `first` on into the packet."""
+        for lane in range(lanes):
+            ray = min(first + lane, len(origins) - 1)
+            valid[lane] = -1 if first + lane < len(origins) else 0
+            for axis in range(3):
+                packet[(ORIGIN + axis) * lanes + lane] = origins[ray, axis]
+                packet[(DIRECTION + axis) * lanes + lane] = directions[ray, axis]
+            packet[FAR * lanes + lane] = FARTHEST
+
+    @njit(nogil=True)
+    @no_type_check
+    def clear(numbers):
+        """Before a packet asks for hits there are none."""
+        for row in range(TRIANGLE, ROWS):
+            for lane in range(lanes):
+                numbers[row * lanes + lane] = -1
+
+    @njit(nogil=True)
+    @no_type_check
+    def keep(packet, numbers, lane, triangle, u, v, front, place):
+        """Writes what one ray of a packet has hit to its place."""
+        found = numbers[TRIANGLE * lanes + lane]
+        triangle[place] = found
+        if found < 0:
+            u[place], v[place], front[place] = 0, 0, False
+            return
+        u[place], v[place] = packet[U * lanes + lane], packet[V * lanes + lane]
+        facing = np.float32(0)
+        for axis in range(3):
+            facing += packet[(NORMAL + axis) * lanes + lane] * packet[(DIRECTION + axis) * lanes + lane]
+        front[place] = facing < 0
+
+    @njit(nogil=True, cache=True)
+    @no_type_check
+    def visibility(function, scene, origins, frames, directions, places, count, answers):
+        packet, _, valid = prepared()
+        for row in _near(origins):
+            stand(packet, valid, origins[row, 0])
+            for first in range(0, len(places), lanes):
+                aim(packet, valid, origins[row], frames[row], directions, places, first, count)
+                _call(function, valid.ctypes.data, scene, packet.ctypes.data)
+                for lane in range(min(lanes, count - first)):
+                    answers[row, places[first + lane]] = 0 if packet[FAR * lanes + lane] < 0 else 1
+
+    @njit(nogil=True, cache=True)
+    @no_type_check
+    def hits(function, scene, origins, frames, directions, places, count, triangle, u, v, front):
+        packet, numbers, valid = prepared()
+        for row in _near(origins):
+            stand(packet, valid, origins[row, 0])
+            for first in range(0, len(places), lanes):
+                aim(packet, valid, origins[row], frames[row], directions, places, first, count)
+                clear(numbers)
+                _call(function, valid.ctypes.data, scene, packet.ctypes.data)
+                for lane in range(min(lanes, count - first)):
+                    keep(packet, numbers, lane, triangle[row], u[row], v[row], front[row], places[first + lane])
+
+    @njit(nogil=True, cache=True)
+    @no_type_check
+    def rays_visible(function, scene, origins, directions, answers):
+        packet, _, valid = prepared()
+        for first in range(0, len(origins), lanes):
+            gather(packet, valid, origins, directions, first)
+            _call(function, valid.ctypes.data, scene, packet.ctypes.data)
+            for lane in range(min(lanes, len(origins) - first)):
+                answers[first + lane] = 0 if packet[FAR * lanes + lane] < 0 else 1
+
+    @njit(nogil=True, cache=True)
+    @no_type_check
+    def rays_hit(function, scene, origins, directions, triangle, u, v, front):
+        packet, numbers, valid = prepared()
+        for first in range(0, len(origins), lanes):
+            gather(packet, valid, origins, directions, first)
+            clear(numbers)
+            _call(function, valid.ctypes.data, scene, packet.ctypes.data)
+            for lane in range(min(lanes, len(origins) - first)):
+                keep(packet, numbers, lane, triangle, u, v, front, first + lane)
+
+    return SimpleNamespace(visibility=visibility, hits=hits, rays_visible=rays_visible, rays_hit=rays_hit)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -74,6 +74,11 @@ class Tracer:
         self.__dict__.update(state)
         self._build()
 
+    @property
+    def at_once(self) -> int:
+        """How many rays `visibility` answers fastest."""
+        return self._embree.at_once
+
     def local(self, points: Float[Tensor, "*v 3"]) -> Float[Tensor, "*v 3"]:
         """World points in the recentred frame of unit size in which rays are traced, float64."""
         return (points.to(torch.float64) - self.centre) * self.scale
@@ -101,8 +106,8 @@ class Tracer:
         origins: Float[Tensor, "v *S 3"],
         frames: Float[Tensor, "v 3 3"],
         directions: Float[Tensor, "D 3"],
-    ) -> Int[Tensor, "v D"]:
-        """-1 where the ray escapes, 0 where anything blocks it: Embree's own numbers, which one product can use.
+    ) -> Float32[Tensor, "v D"]:
+        """1 where the ray escapes, 0 where anything blocks it.
 
         `origins` from `origins()`, one a receiver or S, [v, S, 3], of which every S-th ray has the same; `directions`
         in the local frames whose rows are tangent, bitangent and normal.

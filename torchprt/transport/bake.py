@@ -174,7 +174,8 @@ def bake(
     else:
         everything, validity = vertex_receivers(geometry, tracer), None
         if not raw:
-            geometry, everything, validity = with_sight(geometry, tracer, everything)
+            with Threads(threads or os.cpu_count() or 1) as workers:
+                geometry, everything, validity = with_sight(geometry, tracer, everything, workers)
         met = surfaces(geometry, between)
     job = Job(tracer, met, everything, order, rays, seed, channels, membranes, validity, enough, bodies)
     folder = None if checkpoint is None else Path(checkpoint)
@@ -292,6 +293,8 @@ def store_of(
         "order": job.order,
         "rays": job.rays,
         "seed": job.seed,
+        # A few rays end elsewhere with another engine.
+        "engine": job.tracer.engine,
         "hits": bounces > 0,
         "chunk": CHUNK,
         "version": VERSION,

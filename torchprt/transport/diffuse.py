@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchprt.sh import basis, clamped_cosine, rotate
+from torchprt.sh import basis, clamped_cosine
+from torchprt.sh.euler import turn_by_euler
 from torchprt.trace import Tracer
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.through_volume import ThroughVolume
@@ -58,15 +59,12 @@ def shadowed(
     """
     turned = receivers.frames()
     rays = directions.to(torch.float32)
-    # Embree answers -1 for a ray that escapes.
-    escapes = -project
     local = torch.empty(len(project), len(receivers), dtype=torch.float32)
-    for rows in receivers.blocks(len(rays)):
-        answers = tracer.visibility(receivers.origins[rows], turned[rows], rays)
-        visible = answers.to(torch.float32)
+    for rows in receivers.blocks(len(rays), tracer.at_once):
+        visible = tracer.visibility(receivers.origins[rows], turned[rows], rays)
         if volume is not None:
-            visible = visible * volume.left(tracer, receivers.origins[rows], turned[rows], rays, answers != 0)
-        local[:, rows] = escapes @ visible.T
+            visible *= volume.left(tracer, receivers.origins[rows], turned[rows], rays, visible != 0)
+        local[:, rows] = project @ visible.T
     return to_world(local, turned, receivers.normals)
 
 
@@ -74,5 +72,6 @@ def to_world(
     local: Float[Tensor, "N v"], turned: Float[Tensor, "v 3 3"], normals: Float[Tensor, "v 3"]
 ) -> Float[Tensor, "N v"]:
     """Transfer vectors from local frames to the world; zero where the normal is zero."""
-    world = rotate(local.T[:, :, None], turned.mT)[..., 0]
+    # Frames are rotations: nothing to check.
+    world = turn_by_euler(local.T[:, :, None], turned.mT)[..., 0]
     return torch.where(normals.abs().sum(-1, keepdim=True) > 0, world, 0).T

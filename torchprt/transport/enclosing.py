@@ -72,5 +72,5 @@ def _taken(tracer: Tracer, points: Float[Tensor, "p 3"], middle: Float[Tensor, "
     turned = frames(torch.nn.functional.normalize(toward, dim=-1))
     up = (cap @ turned)[..., 1].clamp(min=0)
     origins = tracer.local(points).to(torch.float32)
-    blocked = 1 + tracer.visibility(origins, turned.to(torch.float32), cap.to(torch.float32)).double()
+    blocked = 1 - tracer.visibility(origins, turned.to(torch.float32), cap.to(torch.float32)).double()
     return float((blocked * up).sum(-1).max()) * 2 * (1 - cosine) / len(cap)

@@ -149,10 +149,10 @@ def shadowed(
             if keep_hits:
                 arrivals.append(reflecting(hits, surfaces, lit, here, set_of.directions, seen, through))
         else:
-            answers = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
-            visible = -answers.to(torch.float32)
+            visible = tracer.visibility(receivers.origins[rows], turned[rows], set_of.directions)
             if surfaces.volume is not None:
-                visible *= surfaces.volume.left(tracer, receivers.origins[rows], here, set_of.directions, answers != 0)
+                wanted = visible != 0
+                visible *= surfaces.volume.left(tracer, receivers.origins[rows], here, set_of.directions, wanted)
         local[:, rows] = set_of.project @ visible.T
         mirrored: Tensor | None = None if through is None else through.radiance
         if seen is not None and len(seen.row):

@@ -114,7 +114,8 @@ def bake_neighbourhood(
     everything = vertex_receivers(geometry, tracer)
     validity = None
     if count and len(everything):
-        geometry, everything, validity = with_sight(geometry, tracer, everything)
+        with Threads(threads or os.cpu_count() or 1) as workers:
+            geometry, everything, validity = with_sight(geometry, tracer, everything, workers)
     channels, membranes = 3 if coloured else 1, sheets(geometry)
     bodies = bodies_of(geometry) if count else ()
     job = Job(tracer, surfaces(geometry), everything, order, rays, seed, channels, membranes, validity, enough, bodies)

@@ -68,7 +68,7 @@ class Surround(TracingTask):
             size = len(origins)
             hits: Hits | None = None
             if around.sent is None and mirrors is None:
-                visible = -job.tracer.visibility(origins, here, directions).to(torch.float32)
+                visible = job.tracer.visibility(origins, here, directions)
                 closed = torch.nonzero(visible.sum(1) == 0)[:, 0]
                 if len(closed):
                     found = job.tracer.hits(origins[closed], here[closed], directions)

@@ -35,9 +35,9 @@ class Receivers:
         tangents = None if self.tangents is None else self.tangents[rows]
         return Receivers(self.points[rows], self.normals[rows], self.origins[rows], tangents)
 
-    def blocks(self, rays: int) -> Iterator[slice]:
-        """Slices of at most `BLOCK` rays (one receiver at least)."""
-        step = max(1, BLOCK // rays)
+    def blocks(self, rays: int, most: int = BLOCK) -> Iterator[slice]:
+        """Slices of at most so many rays (one receiver at least)."""
+        step = max(1, most // rays)
         return (slice(start, min(start + step, len(self))) for start in range(0, len(self), step))
 
     def frames(self) -> Float[Tensor, "V 3 3"]:

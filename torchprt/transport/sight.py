@@ -16,6 +16,7 @@ from torchprt.trace import Tracer
 from torchprt.transfer import Sight
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.sides import Sides, first_of_most, least_cosine, sides_of
+from torchprt.transport.task import Runner
 from torchprt.transport.turned import GLANCE, LOOK, turned
 from torchprt.transport.validity import Validity, filling
 from torchprt.transport.views import LOST, Viewer, Views
@@ -29,7 +30,9 @@ SPECK = 32
 STEPS = (1.0, 8.0, 64.0)
 
 
-def with_sight(geometry: Geometry, tracer: Tracer, receivers: Receivers) -> tuple[Geometry, Receivers, Validity]:
+def with_sight(
+    geometry: Geometry, tracer: Tracer, receivers: Receivers, runner: Runner
+) -> tuple[Geometry, Receivers, Validity]:
     """The scene and its receivers with normals and origins that see, and which are to be filled from others.
 
     A receiver is *turned* if its faces cancel to a zero normal, or oppose each other so that it sees less than half of
@@ -45,7 +48,7 @@ def with_sight(geometry: Geometry, tracer: Tracer, receivers: Receivers) -> tupl
 
     Source: Rays on back faces as a sign are what lightmap bakers call validity.
     """
-    viewer = Viewer(geometry, tracer)
+    viewer = Viewer(geometry, tracer, runner)
     sight = torch.zeros(len(receivers), dtype=torch.uint8)
     geometry, receivers = turned(viewer, receivers, sight)
     alive = torch.nonzero((receivers.normals != 0).any(-1))[:, 0]

@@ -32,7 +32,7 @@ class Blockers:
         escapes = []
         for start, direction in zip(self._starts(slices, along), directions, strict=True):
             seen = self.tracer.visibility(self._origins(start, direction), _same(len(start)), _single(direction))
-            escapes.append((seen[:, 0] < 0).to(torch.float32))
+            escapes.append(seen[:, 0])
         return torch.cat(escapes)
 
     def cuts_of(self, key: Hashable, slices: Slices, along: Tracks, directions: Float[Tensor, "D 3"]) -> Cuts:

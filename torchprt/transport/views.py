@@ -17,6 +17,7 @@ from torchprt.trace import Tracer
 from torchprt.transport.directions import hemisphere
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.solve import around_receivers
+from torchprt.transport.task import Runner, Task
 
 # The share of rays that meet what no ray from an outer side can meet, from which on a receiver is blind.
 LOST = 0.25
@@ -51,6 +52,7 @@ class Viewer:
 
     geometry: Geometry
     tracer: Tracer
+    runner: Runner
 
     def __post_init__(self) -> None:
         geometry = self.geometry
@@ -75,28 +77,42 @@ class Viewer:
 
     def look(self, some: Receivers, rows: Int[Tensor, "v"], rays: int) -> Views:
         """The same of receivers that stand where `rows` do."""
-        size, reverse, own = self.size[rows], self.reverse[rows], self.own[rows]
-        directions = hemisphere(rays).float()
         shares = torch.zeros(5, len(some), dtype=torch.float64)
-        turned, start = some.frames(), self.tracer.local(some.points)
-        lift = torch.linalg.vector_norm(some.origins.double() - start, dim=-1)
-        reach = 2 * size * self.tracer.scale
-        for block in some.blocks(rays):
-            hits = self.tracer.hits(some.origins[block], turned[block], directions)
-            meets = hits.triangle >= 0
-            triangle = hits.triangle.long().clamp(min=0)
-            weights = torch.stack([1 - hits.u - hits.v, hits.u, hits.v], -1).double()
-            ends = (self.places[self.geometry.faces[triangle]] * weights[..., None]).sum(-2)
-            far = torch.linalg.vector_norm(ends - start[block][:, None], dim=-1)
-            sheet = self.geometry.two_sided[triangle] & reverse[block][:, None]
-            back = meets & ~hits.front & self.solid[triangle] & ~sheet
-            near = meets & (far <= 4 * lift[block][:, None])
-            piece = self.piece[triangle]
-            inside = back & ((piece == own[block][:, None]) | (piece == _ANY))
-            close = far <= reach[block][:, None]
-            found = (~meets, inside & close, back & close, back, near)
-            shares[:, block] = torch.stack(found).double().mean(-1)
+        tasks = [Look(block) for block in some.blocks(rays)]
+        for task, found in self.runner.map(tasks, self, some, rows, hemisphere(rays).float()):
+            shares[:, task.index] = found["shares"]
         return Views(*shares)
+
+
+@dataclass(frozen=True)
+class Look(Task):
+    """The "shares" `[5, v]` that `Views` holds, of some of the receivers that look."""
+
+    def compute(self, viewer: Viewer, everyone: Receivers, rows: Tensor, directions: Tensor) -> dict[str, Tensor]:
+        some, rows = everyone[self.index], rows[self.index]
+        tracer, geometry = viewer.tracer, viewer.geometry
+        hits = tracer.hits(some.origins, some.frames(), directions)
+        start = tracer.local(some.points)
+        lift = torch.linalg.vector_norm(some.origins.double() - start, dim=-1)[:, None]
+        meets = hits.triangle >= 0
+        # What is asked of a hit is asked of hits alone: most rays escape.
+        row, column = torch.nonzero(meets, as_tuple=True)
+        triangle, u, v = (part[row, column] for part in (hits.triangle.long(), hits.u.double(), hits.v.double()))
+        ends = torch.zeros(len(row), 3, dtype=torch.float64)
+        for corner, weight in zip(geometry.faces[triangle].unbind(-1), (1 - u - v, u, v), strict=True):
+            ends += viewer.places[corner] * weight[:, None]
+        far = torch.linalg.vector_norm(ends - start[row], dim=-1)
+        of_row = rows[row]
+        sheet = geometry.two_sided[triangle] & viewer.reverse[of_row]
+        back = ~hits.front[row, column] & viewer.solid[triangle] & ~sheet
+        near = far <= 4 * lift[row, 0]
+        piece = viewer.piece[triangle]
+        inside = back & ((piece == viewer.own[of_row]) | (piece == _ANY))
+        close = far <= 2 * tracer.scale * viewer.size[of_row]
+        counts = [
+            torch.bincount(row[chosen], minlength=len(some)) for chosen in (inside & close, back & close, back, near)
+        ]
+        return {"shares": torch.stack([(~meets).sum(-1), *counts]).double() / len(directions)}
 
 
 def pieces(geometry: Geometry) -> tuple[Int[Tensor, "F"], Bool[Tensor, "P"]]:

@@ -45,7 +45,7 @@ def product_error(
     some = torch.randperm(len(visibility), generator=torch.Generator().manual_seed(job.seed))[:_SAMPLE].sort().values
     directions = hemisphere(job.rays, job.seed)
     receivers = job.receivers[task.glossy.receivers[some]]
-    escapes = -job.tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
+    escapes = job.tracer.visibility(receivers.origins, receivers.frames(), directions.float()).double()
     table = kernel(directions) * (2 * math.pi / len(directions))
     exact = (escapes[:, None] * table) @ basis(directions, order)
     nodes, weights = gauss_legendre_hemisphere(degree)
