@@ -61,9 +61,13 @@ def _embreex() -> Make:
 def _packets() -> Make:
     if importlib.util.find_spec("numba") is None:
         raise CannotRun("numba is not installed: `pip install 'torchprt[fast]'`")
-    from torchprt.trace.packets import Packets, check
+    try:
+        import numba  # noqa: F401
+    except ImportError as fault:
+        raise CannotRun(f"numba cannot be imported ({fault})") from fault
+    from torchprt.trace.packets import Packets, try_on_a_triangle
 
-    check()
+    try_on_a_triangle()
     return Packets
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from types import SimpleNamespace
 from typing import no_type_check
 
@@ -56,9 +55,9 @@ def _near(origins):
     return np.argsort(code, kind="mergesort")
 
 
-@functools.cache
-def kernels(lanes: int) -> SimpleNamespace:
-    """The loops for packets of so many rays, a constant of what is compiled:
+def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
+    """The loops for packets of so many rays, a constant of what is compiled and, if it is `kept`, found on disk by the
+    next process:
 
     - `visibility(function, scene, origins, frames, directions, places, count, answers)` writes 1 into `answers [v, D]`
       where a ray escapes, else 0. `origins [v, S, 3]`, `frames [v, 3, 3]`; `directions [3, R]` and `places [R]`, where
@@ -67,6 +66,7 @@ def kernels(lanes: int) -> SimpleNamespace:
     - `rays_visible(function, scene, origins, directions, answers)` and `rays_hit(..., triangle, u, v, front)` of single
       rays, `[E, 3]` and `[E]`.
     `function` and `scene` are addresses. All arrays are contiguous.
+    Raises RuntimeError if it cannot be kept.
     """
 
     @njit(nogil=True)
@@ -151,7 +151,7 @@ def kernels(lanes: int) -> SimpleNamespace:
             facing += packet[(NORMAL + axis) * lanes + lane] * packet[(DIRECTION + axis) * lanes + lane]
         front[place] = facing < 0
 
-    @njit(nogil=True, cache=True)
+    @njit(nogil=True, cache=kept)
     @no_type_check
     def visibility(function, scene, origins, frames, directions, places, count, answers):
         packet, _, valid = prepared()
@@ -163,7 +163,7 @@ def kernels(lanes: int) -> SimpleNamespace:
                 for lane in range(min(lanes, count - first)):
                     answers[row, places[first + lane]] = 0 if packet[FAR * lanes + lane] < 0 else 1
 
-    @njit(nogil=True, cache=True)
+    @njit(nogil=True, cache=kept)
     @no_type_check
     def hits(function, scene, origins, frames, directions, places, count, triangle, u, v, front):
         packet, numbers, valid = prepared()
@@ -176,7 +176,7 @@ def kernels(lanes: int) -> SimpleNamespace:
                 for lane in range(min(lanes, count - first)):
                     keep(packet, numbers, lane, triangle[row], u[row], v[row], front[row], places[first + lane])
 
-    @njit(nogil=True, cache=True)
+    @njit(nogil=True, cache=kept)
     @no_type_check
     def rays_visible(function, scene, origins, directions, answers):
         packet, _, valid = prepared()
@@ -186,7 +186,7 @@ def kernels(lanes: int) -> SimpleNamespace:
             for lane in range(min(lanes, len(origins) - first)):
                 answers[first + lane] = 0 if packet[FAR * lanes + lane] < 0 else 1
 
-    @njit(nogil=True, cache=True)
+    @njit(nogil=True, cache=kept)
     @no_type_check
     def rays_hit(function, scene, origins, directions, triangle, u, v, front):
         packet, numbers, valid = prepared()

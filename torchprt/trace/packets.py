@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ from jaxtyping import Float, Float32, Int32
 from torch import Tensor
 
 from torchprt.trace.embree import Embree, Triangles, library
-from torchprt.trace.engines import CannotRun
+from torchprt.trace.engines import CannotRun, EngineWarning
 from torchprt.trace.hits import Hits
 from torchprt.trace.rays import in_the_world
 
@@ -57,6 +59,8 @@ class Packets:
     ) -> Float32[Tensor, "v D"]:
         """As `Engine.visibility`."""
         answers = np.empty((len(origins), len(directions)), np.float32)
+        if not len(origins):
+            return torch.from_numpy(answers)
         if len(directions) < self._lanes:
             start, rays = _rows(*in_the_world(origins, frames, directions))
             self._kernels.rays_visible(*self._occluded, start, rays, answers.reshape(-1))
@@ -73,7 +77,8 @@ class Packets:
             found = self.nearest(*in_the_world(origins, frames, directions))
             return Hits(*(part.view(shape) for part in vars(found).values()))
         arrays = _empty(shape)
-        self._kernels.hits(*self._intersect, *self._fanned(origins, frames, directions), *arrays)
+        if len(origins):
+            self._kernels.hits(*self._intersect, *self._fanned(origins, frames, directions), *arrays)
         return Hits(*map(torch.from_numpy, arrays))
 
     def nearest(self, origins: Float32[np.ndarray, "E 3"], directions: Float32[np.ndarray, "E 3"]) -> Hits:
@@ -131,19 +136,25 @@ def _rows(*arrays: np.ndarray) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(array, np.float32) for array in arrays)
 
 
+@functools.cache
 def _kernels(lanes: int) -> Any:
     from torchprt.trace import packet_kernels
 
-    return packet_kernels.kernels(lanes)
+    try:
+        return packet_kernels.kernels(lanes)
+    except RuntimeError as fault:
+        warnings.warn(
+            f"what numba compiles cannot be kept on disk, so that every process spends seconds on it ({fault}): name a "
+            "folder that can be written as NUMBA_CACHE_DIR",
+            EngineWarning,
+            stacklevel=2,
+        )
+        return packet_kernels.kernels(lanes, kept=False)
 
 
-def check() -> None:
-    """Raises CannotRun if packets do not work here, tried on a triangle."""
-    try_on_a_triangle(library())
-
-
-def try_on_a_triangle(embree: Embree) -> None:
-    """Whether the library answers as the layout of packets says. Raises CannotRun if not."""
+def try_on_a_triangle(embree: Embree | None = None) -> None:
+    """Whether a library (that of embreex) answers as the layout of packets says. Raises CannotRun if not."""
+    embree = embree or library()
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
     packets = Packets(corners, np.array([[0, 1, 2]], np.int32), embree)
     start = np.array([[0.25, 0.5, 1], [0.25, 0.5, -1], [2, 2, 1]], np.float32)

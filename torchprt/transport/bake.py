@@ -182,7 +182,7 @@ def bake(
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
-            report = stack.enter_context(Bar())
+            report = stack.enter_context(Bar(engine=tracer.engine))
         points = None if receivers is None else recorded
         store = stack.enter_context(store_of(folder, job, geometry, points, bounces, wanted if is_glossy else None))
         if runner is None:

@@ -126,7 +126,7 @@ def bake_neighbourhood(
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
-            report = stack.enter_context(Bar())
+            report = stack.enter_context(Bar(engine=tracer.engine))
         more = {"around": output_order}
         store = stack.enter_context(store_of(folder, job, geometry, points, count, wanted, **more))
         if runner is None:

@@ -13,6 +13,9 @@ from rich.text import Text
 
 from torchprt.progress import in_lines, quiet
 
+# Stages that count rays.
+TRACING = ("trace", "points")
+
 
 class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
@@ -71,10 +74,11 @@ class Bar:
     """A progress bar on standard error, one line a stage, none if TORCHPRT_QUIET is set; a context manager.
 
     With TORCHPRT_PROGRESS=lines there is a line for each per cent of a stage instead, `diffuse 37%`.
-    `rates`: whether it says how much is done a second.
+    `rates`: whether it says how much is done a second. `engine`: who traces, said of the stages that do.
     """
 
-    def __init__(self, rates: bool = True) -> None:
+    def __init__(self, rates: bool = True, engine: str | None = None) -> None:
+        self._engine = engine
         columns: list[ProgressColumn] = [
             TextColumn("{task.description:>9}"),
             BarColumn(),
@@ -100,7 +104,8 @@ class Bar:
             self._lines.start(stage, total, done)
             return
         self._progress.start()
-        self._task = self._progress.add_task(stage, total=total, completed=done)
+        told = f"{stage} by {self._engine}" if self._engine and stage in TRACING else stage
+        self._task = self._progress.add_task(told, total=total, completed=done)
 
     def advance(self, count: int) -> None:
         if self._lines is not None:
