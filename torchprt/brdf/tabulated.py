@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchprt.brdf.models import Brdf
 from torchprt.errors import InputError
+from torchprt.sh.shapes import broadcast_shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ class Measured(Brdf):
 
     def _above(self, view: Tensor, light: Tensor) -> Tensor:
         value = self.function(view, light)
-        shape = torch.broadcast_shapes(view.shape, light.shape)[:-1]
+        shape = broadcast_shapes(view.shape, light.shape)[:-1]
         if not isinstance(value, Tensor) or value.shape != shape:
             found = list(value.shape) if isinstance(value, Tensor) else type(value).__name__
             raise InputError(f"reflectance '{self.name}' returned {found}: return a tensor of shape {list(shape)}")

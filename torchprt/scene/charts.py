@@ -11,8 +11,6 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int, Int64
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -284,6 +282,9 @@ def _surface(object: Object) -> Float[np.ndarray, "F"]:
 
 def _pieces(object: Object, pairs: Float[np.ndarray, "F 3 2"]) -> Int[np.ndarray, "F"]:
     """Faces hang together that share an edge both on the surface and on the map."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     place = weld(object.mesh.positions.numpy())[object.mesh.faces.numpy()].reshape(-1, 1)
     key = np.concatenate([place, pairs.reshape(-1, 2)], axis=1)
     # What is missing is alike, so that it is one chart a piece of surface.

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from torchprt.words import count
 
@@ -158,6 +156,9 @@ def degenerate(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"
 
 
 def _components(welded: Int[np.ndarray, "F 3"]) -> int:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     places = int(welded.max(initial=-1)) + 1
     tail = np.concatenate([welded[:, 0], welded[:, 1]])
     head = np.concatenate([welded[:, 1], welded[:, 2]])

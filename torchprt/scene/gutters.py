@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import distance_transform_edt
 
 from .rasterise import rasterise
 from .seams import Seams
@@ -39,6 +38,8 @@ def gutters(
     Law: along a seam of a developable surface a quantity that is linear on the surface is read alike from both sides,
     but for taps that no chart covers.
     """
+    from scipy.ndimage import distance_transform_edt
+
     of_texel = np.full(rows * columns, -1)
     of_texel[texel] = np.arange(len(texel))
     number = of_texel.reshape(rows, columns)

@@ -2,8 +2,6 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from .weld import edges, weld
 
@@ -80,6 +78,9 @@ def _smooth_patches(
     positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], normals: Float[np.ndarray, "F 3"]
 ) -> Int[np.ndarray, "corners"]:
     """For every corner of every face, the number of the smooth patch that it and its neighbours form."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     vertices = len(positions)
     place = weld(positions)
     if place.max(initial=-1) + 1 == vertices:

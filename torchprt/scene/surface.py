@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -112,6 +110,9 @@ class Surface:
 
     def _groups(self) -> Int64[np.ndarray, "V"]:
         """A number for every vertex, the same for those that are one."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
         count = len(self.mesh.positions)
         place = weld(self.mesh.positions.numpy())
         paint = np.full(count, -1)

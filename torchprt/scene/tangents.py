@@ -5,13 +5,16 @@ in it, so tangents must not jump from a vertex to the next: neighbours would the
 computed from the normal alone (Frisvad 2012; Duff et al. 2017) spin about one pole, in the flat base of a scan, say.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from .normals import corner_angles, unit
 from .weld import weld
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 REACH = 1000.0
 """Weight of smoothness beside the guide: a round of diffusion reaches as far as its square root, in edges."""
@@ -163,6 +166,9 @@ def _axes(
     normals: Float[np.ndarray, "V 3"], one: Int[np.ndarray, "E"], other: Int[np.ndarray, "E"]
 ) -> Float[np.ndarray, "V 3"]:
     """For every vertex the world axis that guides its connected piece: the one least along its normals."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     vertices = len(normals)
     graph = coo_matrix((np.ones(len(one), dtype=bool), (one, other)), (vertices, vertices))
     pieces, piece = connected_components(graph, directed=False)
@@ -178,11 +184,13 @@ def _transport(
     one: Int[np.ndarray, "E"],
     other: Int[np.ndarray, "E"],
     weight: Float[np.ndarray, "E"],
-) -> csr_matrix:
+) -> "scipy.sparse.csr_matrix":
     """Hermitian [V, V]: entry (i, j) takes a tangent at j, as a complex number, to i by the least rotation of normals.
 
     Times the weight of the edge.
     """
+    from scipy.sparse import csr_matrix
+
     middle = normals[one] + normals[other]
     along = np.einsum("ij,ij->i", normals[one], first[other]) / (2 * weight)
     moved = first[other] - along[:, None] * middle
@@ -193,7 +201,7 @@ def _transport(
 
 
 def _diffused(
-    guide: Complex[np.ndarray, "V"], kept: Bool[np.ndarray, "V"], transport: csr_matrix
+    guide: Complex[np.ndarray, "V"], kept: Bool[np.ndarray, "V"], transport: "scipy.sparse.csr_matrix"
 ) -> Complex[np.ndarray, "V"]:
     """Unit complex numbers that follow the guide and turn little; kept ones are those of the guide."""
     degree = np.asarray(abs(transport).sum(axis=1)).ravel()
@@ -214,7 +222,7 @@ def _direction(values: Complex[np.ndarray, "V"]) -> Complex[np.ndarray, "V"]:
 
 
 def _solved(
-    transport: csr_matrix,
+    transport: "scipy.sparse.csr_matrix",
     diagonal: Float[np.ndarray, "V"],
     wanted: Complex[np.ndarray, "V"],
     start: Complex[np.ndarray, "V"],

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from torchprt.errors import InputError
 
@@ -108,6 +106,9 @@ def _fill(
 
 def _large(positions: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, "F"]:
     """Faces of parts that are not far smaller than all of them together."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     used, index = np.unique(faces, return_inverse=True)
     places, corner = positions[used], weld(positions[used])[index.reshape(-1, 3)]
     ends = (corner[:, :2].ravel(), corner[:, 1:].ravel())

@@ -7,6 +7,7 @@ from torch import Tensor
 from torchprt.sh.basis import bands, order_of
 from torchprt.sh.constant import remembered
 from torchprt.sh.matrices import rotation_bands
+from torchprt.sh.shapes import broadcast_shapes
 
 # Up to here one product with J, zeros and all, is as fast as a product a band.
 _LAST_DENSE_ORDER = 4
@@ -23,7 +24,7 @@ def turn_by_euler(light: Float[Tensor, "*#B N C"], rotation: Float[Tensor, "*#B 
     Source: Pinchon and Hoggan 2007, "Rotation matrices for real spherical harmonics: general rotations of atomic
     orbitals in space-fixed axes".
     """
-    order, batch = order_of(light.shape[-2]), torch.broadcast_shapes(light.shape[:-2], rotation.shape[:-2])
+    order, batch = order_of(light.shape[-2]), broadcast_shapes(light.shape[:-2], rotation.shape[:-2])
     swap, mirrored, size_of_m, sine_of_m = _constants(light.device, order, light.dtype)
     rotation = rotation.reshape(*[1] * (len(batch) + 2 - rotation.ndim), *rotation.shape)
     powers = _powers(_euler(_batch_last(rotation)), order)

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchprt.errors import InputError
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.shade.adaptive_layer import AdaptiveLayer, Region
 from torchprt.shade.levels import check_orders, default_orders
 from torchprt.shade.regions import Gate, Neighbours, check_faces
@@ -188,7 +189,7 @@ def _check_regions(
     if not given:
         return
     batches = [light.shape[:-2], () if values is None else values.shape[:-2], () if posed is None else posed.shape[:-3]]
-    batch = torch.broadcast_shapes(*batches)
+    batch = broadcast_shapes(*batches)
     wanted = (*batch, layer.layer.signal.shape[0])
     if before is None or len(before.orders) != wanted[-1] or any(w.shape != wanted for w in before.weights):
         raise InputError("regions are of another shader or batch: give those of the call before this one, or none")

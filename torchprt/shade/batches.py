@@ -9,6 +9,7 @@ from jaxtyping import Complex, Float, Num
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh.shapes import broadcast_shapes
 
 
 def light_product(
@@ -22,7 +23,7 @@ def light_product(
     channels, count = vectors.shape[:2]
     if vectors.ndim == 3:
         return _of_one_batch(light, vectors, out)
-    batch = torch.broadcast_shapes(light.shape[:-2], vectors.shape[2:-1])
+    batch = broadcast_shapes(light.shape[:-2], vectors.shape[2:-1])
     poses = (1,) * (len(batch) - vectors.ndim + 3) + tuple(vectors.shape[2:-1])
     paired = [axis for axis, size in enumerate(poses) if not is_one(size)]
     shared = [axis for axis in range(len(poses)) if axis not in paired]

@@ -13,6 +13,7 @@ from torch.nn.functional import embedding_bag
 
 from torchprt.errors import InputError
 from torchprt.sh.derivatives import with_all_derivatives
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.shade.batches import is_one
 from torchprt.shade.dense import matrix_vectors
 from torchprt.shade.signal import Making, SignalModule, hold, signal_module
@@ -136,7 +137,7 @@ class ClusteredSignal(SignalModule):
         if values is None:
             return self.under(light).squeeze(-2)
         lights, eyes = light.shape[:-2], values.shape[:-2]
-        batch = torch.broadcast_shapes(lights, eyes)
+        batch = broadcast_shapes(lights, eyes)
         found = self.blend(self.sent(lambda signal: _exits(signal, light)))
         receivers, rows = values.shape[-2:]
         if is_one(math.prod(eyes)):

@@ -15,6 +15,7 @@ from torchprt.errors import InputError
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.sh.derivatives import with_all_derivatives
 from torchprt.sh.precision import KeepsSingle, at_least_single
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.shade.signal import Making, hold
 from torchprt.transfer import Cells
 
@@ -136,8 +137,8 @@ class Composite(KeepsSingle):
         origins, directions = torch.broadcast_tensors(origins, directions)
         count, batch = origins.shape[-2], origins.shape[:-2]
         if far is not None:
-            batch = torch.broadcast_shapes(batch, far.shape[:-1])
-        everyone = torch.broadcast_shapes(batch, source.shape[:-2])
+            batch = broadcast_shapes(batch, far.shape[:-1])
+        everyone = broadcast_shapes(batch, source.shape[:-2])
         # All sources as channels of one, which every ray reads at once.
         shared = math.prod(batch) == 1
         lights = math.prod(source.shape[:-2])

@@ -13,6 +13,7 @@ from torchprt.sh.basis import only_values_are_wanted
 from torchprt.sh.constant import remembered
 from torchprt.sh.derivatives import read_bilinear
 from torchprt.sh.precision import widened, without_autocast
+from torchprt.sh.shapes import broadcast_shapes
 
 # Rows and columns of the table of a light.
 TABLE = (32, 64)
@@ -59,7 +60,7 @@ def lobe_vectors(
     """
     first = 2 if low.shape[1] else 0
     order = coefficients.shape[2] + first
-    poses = torch.broadcast_shapes(axes.shape[2:], coefficients.shape[3:], low.shape[2:])
+    poses = broadcast_shapes(axes.shape[2:], coefficients.shape[3:], low.shape[2:])
     if only_values_are_wanted(axes, coefficients, low):
         return _in_place(axes, coefficients, low, order, poses)
     values = basis(_unit(axes).movedim(0, -1), order).movedim(-1, 0)
@@ -118,7 +119,7 @@ def table_radiance(
     """
     dtype, light = light.dtype, widened(light)
     first = 2 if low.shape[1] else 0
-    batch = torch.broadcast_shapes(light.shape[:-2], axes.shape[2:-1], coefficients.shape[3:-1], low.shape[2:-1])
+    batch = broadcast_shapes(light.shape[:-2], axes.shape[2:-1], coefficients.shape[3:-1], low.shape[2:-1])
     axes = _unit(axes)
     table = light_table(light, first)
     table = table.expand(*batch, *table.shape[-3:]).reshape(-1, *table.shape[-3:])

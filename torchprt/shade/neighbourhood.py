@@ -15,6 +15,7 @@ from torchprt.sh import Rotation, check_rotation, rotate
 from torchprt.sh.basis import values_are_at_hand
 from torchprt.sh.derivatives import with_all_derivatives
 from torchprt.sh.precision import at_least_single, widened
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.shade.lattice import Lattice
 from torchprt.shade.layer import LayerModule, layer_module
 from torchprt.shade.receiving import DIFFUSE, Receiving
@@ -197,7 +198,7 @@ class NeighbourhoodShader(nn.Module):
         batch = light.shape[:-2]
         table = field.flatten(-3, -2).mT.reshape(-1, 3 * count)
         index, weights = self.lattice(here)
-        everyone = torch.broadcast_shapes(batch, index.shape[:-2])
+        everyone = broadcast_shapes(batch, index.shape[:-2])
         number = torch.arange(math.prod(batch), device=index.device).view(*batch, 1, 1) * math.prod(self.shape)
         index = (index + number).expand(*everyone, *index.shape[-2:]).reshape(-1, 8)
         weights = weights.to(self.dtype).expand(*everyone, *weights.shape[-2:])

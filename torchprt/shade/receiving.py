@@ -23,6 +23,7 @@ from torchprt.sh import (
     rotate,
     to_horizon,
 )
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.shade.view_directions import toward_eye
 
 _DEGREE = 96
@@ -140,7 +141,7 @@ class BrdfReceiving(Receiving):
     ) -> Float[Tensor, "*B R N"]:
         toward = directions_to(positions, eye, view).to(normals.dtype)
         frame = frames_about(normals)
-        toward = torch.broadcast_to(toward, torch.broadcast_shapes(toward.shape, normals.shape))
+        toward = torch.broadcast_to(toward, broadcast_shapes(toward.shape, normals.shape))
         local = to_horizon((frame @ toward.unsqueeze(-1))[..., 0])
         chain = self.chain[:, : order * order].to(local)
         values = exit_functions(local, self.output_order, self.projection) @ chain

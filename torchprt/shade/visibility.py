@@ -14,6 +14,7 @@ from torchprt.sh import Rotation, basis, exit_functions, gauss_legendre_hemisphe
 from torchprt.sh.basis import only_values_are_wanted
 from torchprt.sh.euler import turn_by_euler
 from torchprt.sh.precision import without_autocast
+from torchprt.sh.shapes import broadcast_shapes
 from torchprt.sh.turned_product import TurnedProduct, euler_turns
 from torchprt.shade.batches import light_product, receivers_of
 from torchprt.shade.eye_layer import EyeLayerModule
@@ -111,7 +112,7 @@ class VisibilityLayer(EyeLayerModule):
                 return torch.cat([light_product(light, piece.movedim(-2, 0).unsqueeze(0)) for piece in vectors], -1)
 
             return by_vectors
-        wide, batch = self.frames.dtype, torch.broadcast_shapes(light.shape[:-2], values.shape[:-2])
+        wide, batch = self.frames.dtype, broadcast_shapes(light.shape[:-2], values.shape[:-2])
         product = without_autocast(TurnedProduct(light.to(wide)).__call__)
         rows = values.reshape(values.shape[-2:]).mT
         turned = euler_turns(self.frames.transpose(0, 1)) if turns is None else turns
