@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -23,6 +23,7 @@ from torchprt.transfer.layout import Part
 from torchprt.transfer.receivers import Receivers
 from torchprt.transfer.signal import Signal
 from torchprt.transfer.transfer import SELDOM, Transfer
+from torchprt.transfer.written import Entry, write_pieces
 
 FORMAT = 2
 CONVENTIONS = (
@@ -32,12 +33,14 @@ CONVENTIONS = (
 _PROVENANCE = [field.name for field in dataclasses.fields(Transfer) if field.name not in ("receivers", "layers")]
 
 
-def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
+def save(transfer: Transfer, path: str | os.PathLike[str], *, dtype: torch.dtype | None = None) -> None:
     """Writes a transfer to `path` (`.safetensors`); a reader never sees half of it.
 
     The file holds the tensors of the receivers by name, those of a layer as `layer.name`, those of its signal as
     `layer.signal.name`; the metadata are the format version, conventions, provenance, and as JSON what the receivers,
-    the layers and their signals are, and which tensors they have.
+    the layers and their signals are, and which tensors they have. `dtype`: that signals are stored as, as
+    `Transfer.to(dtype)` would have them. A piece is written at a time, so that tensors may be maps of files that are
+    larger than memory.
     Raises InputError if a value is NaN or infinite, or `path` cannot be written or has another suffix.
     """
     path = Path(path)
@@ -45,26 +48,27 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
         raise InputError(f"{path} must end in .safetensors")
     transfer.check()
     layers = []
-    tensors = dict(transfer.receivers.tensors())
+    entries = {name: Entry(value, value.dtype) for name, value in transfer.receivers.tensors().items()}
     for name, layer in transfer.layers.items():
-        tensors |= {f"{name}.{each}": value for each, value in layer.tensors().items()}
-        tensors |= {f"{name}.signal.{each}": value for each, value in layer.signal.tensors().items()}
-        layers.append({"name": name, **_said(layer), "signal": _said(layer.signal)})
+        signal = layer.signal
+        entries |= {f"{name}.{each}": Entry(value, value.dtype) for each, value in layer.tensors().items()}
+        entries |= {
+            f"{name}.signal.{each}": Entry(value, dtype if dtype and each in signal.stored else value.dtype)
+            for each, value in signal.tensors().items()
+        }
+        layers.append({"name": name, **_said(layer), "signal": _said(signal)})
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
     metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
     metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
-    contents: dict[str, Tensor] = {}
-    for name, value in tensors.items():
-        value = value.detach().cpu().contiguous()
-        # Layers may share tensors, which a file may not.
-        shared = {each.untyped_storage().data_ptr() for each in contents.values()}
-        contents[name] = value.clone() if value.untyped_storage().data_ptr() in shared else value
-    with atomic(path) as temporary:
-        save_file(contents, temporary, metadata=metadata)
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        write_pieces(file, entries, metadata)
 
 
-def load(path: str | os.PathLike[str]) -> Transfer:
+def load(path: str | os.PathLike[str], *, mapped: bool = False) -> Transfer:
     """Reads a transfer that `save` wrote, of this format or an older one; the tensors are on the CPU.
+
+    `mapped`: they are maps of the file, read from disk where they are used, and must not be written to. While there
+    are any nobody may cut the file short, which ends the process; replacing it is no harm.
 
     A `.prt` or `.pca` that D3DX saved is read as `load_d3dx` does without a mesh.
     Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of a newer format, holds a
@@ -84,7 +88,7 @@ def load(path: str | os.PathLike[str]) -> Transfer:
                     raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
                 # A copy: what is a map of the file ends the process when another program cuts the file short.
                 value: Tensor = file.get_tensor(name)
-                return value.clone()
+                return value if mapped else value.clone()
 
             return _read(path, file.metadata() or {}, tensor)
     except (SafetensorError, OSError) as fault:

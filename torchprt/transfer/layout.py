@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.transfer.pieces import pieces
 
 FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 REAL = (torch.float32, torch.float64)
@@ -102,7 +103,9 @@ class Part:
     def check(self, of: str = "") -> None:
         """InputError naming the first tensor that holds NaN or infinity, after what it is `of`."""
         for name, value in self.tensors().items():
-            bad = int((~value.isfinite()).sum()) if value.is_floating_point() else 0
+            # Some at a time: it may be a map of a file that is larger than memory.
+            places = pieces(value) if value.is_floating_point() else ()
+            bad = sum(int((~value[place].isfinite()).sum()) for place in places)
             if bad:
                 raise InputError(
                     f"tensor '{of}{name}' of the transfer holds {bad} NaN or infinite values: bake it again"
