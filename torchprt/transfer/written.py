@@ -44,8 +44,8 @@ class Entry:
 def write_pieces(file: BinaryIO, entries: Mapping[str, Entry], metadata: Mapping[str, str]) -> None:
     """Writes tensors by name and `metadata` from the beginning of an empty `file`.
 
-    No more of a tensor than a piece is copied at a time. The same tensors and metadata are the same bytes. The library's
-    own writer has all tensors as bytes in memory. Raises InputError if values are too large for the dtype.
+    No more of a tensor than a piece is copied at a time. The same tensors and metadata are the same bytes. The writer
+    of the library has all tensors as bytes in memory. Raises InputError if values are too large for the dtype.
     Source: the format of safetensors, https://github.com/huggingface/safetensors (a length, a header in JSON, tensors
     by row with the widest types first).
     """

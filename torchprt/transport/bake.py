@@ -32,10 +32,10 @@ from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.mirrors import warn_of_cut
+from torchprt.transport.output import Output, output_of
 from torchprt.transport.points import among, at_points, bake_points
 from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
-from torchprt.transport.output import Output, output_of
 from torchprt.transport.solve import solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface import bodies_of, unshadowed_through
@@ -93,8 +93,8 @@ def bake(
       unless it is to `keep` it (until the result is safe on disk, say).
     - `out`: a `.safetensors` to write, part by part, for a result that is larger than memory. What grows with receivers
       times coefficients then stands in files beside it that are mapped into memory, the same bits as without; the
-      tensors of the result are maps of the file (`Output` says more, as a dtype). Chunks are kept in a folder OUT.partial
-      unless a `checkpoint` is named.
+      tensors of the result are maps of the file (an `Output` says more, as a dtype). Chunks are kept in a folder
+      OUT.partial unless a `checkpoint` is named.
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
 
     - `raw`: leave receivers that cannot see as they are, black; otherwise see `with_sight`: they are turned, moved, or
@@ -159,8 +159,8 @@ def bake(
     membranes, bodies = sheets(geometry), bodies_of(geometry)
     if output is not None and bodies and receivers is None:
         raise InputError(
-            "light that diffuses in a body comes from all of it, which must be in memory: bake without an output that is "
-            "written in parts, or leave the subsurface out"
+            "light that diffuses in a body comes from all of it, which must be in memory: bake without an output that "
+            "is written in parts, or leave the subsurface out"
         )
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
     recorded = geometry if receivers is None else among(receivers, geometry)

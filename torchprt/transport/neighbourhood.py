@@ -37,8 +37,8 @@ from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import exit_radiance, solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
-from torchprt.transport.tables import in_channels
 from torchprt.transport.subsurface import bodies_of
+from torchprt.transport.tables import in_channels
 from torchprt.transport.task import Runner, chunks
 from torchprt.transport.validity import along
 from torchprt.transport.workers import Threads, torch_on_one_thread

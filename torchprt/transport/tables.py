@@ -8,7 +8,7 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from torchprt.transfer.pieces import rows
 _ZEROS = 1 << 24
 
 
+@runtime_checkable
 class Tables(Protocol):
     """What makes tensors of a row a receiver. Whoever fills them walks over their rows, so that no more than some rows
     are copied at a time, and gives the same bits wherever they stand."""
@@ -84,7 +85,7 @@ def _allocate(file: BinaryIO, size: int) -> None:
     file.flush()
 
 
-def in_channels(table: Float[Tensor, "V W"], times: int, tables: Tables) -> Float[Tensor, "V D"]:
+def in_channels(table: Float[Tensor, "*V W"], times: int, tables: Tables) -> Float[Tensor, "*V D"]:
     """A table with its columns so many times side by side: itself for once."""
     if times == 1:
         return table
