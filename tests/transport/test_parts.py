@@ -115,7 +115,7 @@ def test_a_place_that_is_no_file_is_refused_before_anything(tmp_path):
 def test_bodies_are_refused(tmp_path):
     corners = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     mesh = make_mesh(corners, torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
-    scene = Scene([Object(mesh, Material(0.5, subsurface="marble", millimetres=100))])
+    scene = Scene([Object(mesh, Material(0.5, subsurface="marble", millimetres=0.5))])
     with pytest.raises(InputError, match="diffuses in a body comes from all of it"):
         bake(scene, out=tmp_path / "a.safetensors", progress=False)
     assert not list(tmp_path.iterdir())

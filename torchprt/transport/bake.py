@@ -235,6 +235,15 @@ def numbers(scene: Scene, order: int, bounces: Bounces, output_order: int | None
     return count * (1 + (output_order or order) ** 2) if needed.kind == "glossy" else count
 
 
+def bytes_held(
+    scene: Scene, *, order: int, bounces: Bounces, output_order: int | None = None, lightmap: Lightmap | None = None
+) -> int:
+    """Bytes that a bake without `out` holds of what grows with receivers times coefficients, at most."""
+    sides = [len(each.two_sided) + int(each.two_sided.sum()) for each in scene.objects if each.receives]
+    receivers = sum(sides) if lightmap is None else lightmap.rows * lightmap.columns
+    return 4 * receivers * numbers(scene, order, bounces, output_order)
+
+
 def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int | float, stages: Stages) -> Transfer:
     if points is None:
         solution = solve(job, geometry.albedo, bounces, stages)
