@@ -143,7 +143,7 @@ def bake(
     """
     check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     output = output_of(out)
-    tables: Tables = InMemory() if output is None else Mapped(output.folder)
+    tables: Tables = InMemory() if output is None else Mapped(Path(output.path))
     geometry = scene.geometry()
     texels: Lightmapped | None = None
     if lightmap is not None:

@@ -30,11 +30,6 @@ class Output:
         check_writable(self.path, (".safetensors",))
 
     @property
-    def folder(self) -> Path:
-        """Where it will stand, and what is needed on the way there."""
-        return Path(self.path).absolute().parent
-
-    @property
     def partial(self) -> Path:
         """The folder that keeps finished chunks, unless another is named."""
         path = Path(self.path)
