@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import os
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -20,12 +21,15 @@ from torchprt.transfer.d3dx import SUFFIXES, load_d3dx
 from torchprt.transfer.format1 import from_format1
 from torchprt.transfer.layer import Layer
 from torchprt.transfer.layout import Part
+from torchprt.transfer.mapped import MappedFile
 from torchprt.transfer.receivers import Receivers
 from torchprt.transfer.signal import Signal
 from torchprt.transfer.transfer import SELDOM, Transfer
 from torchprt.transfer.written import Entry, write_pieces
 
 FORMAT = 2
+# Bytes of a file from which on it is mapped: fewer are copied in no time, and are safe from whoever writes into it.
+_MAPPED = 1 << 26
 CONVENTIONS = (
     "real orthonormal spherical harmonics with the Condon-Shortley sign, index l(l+1)+m; world frame, y up; "
     "directions point away from the surface; transfer carries 1/pi, albedo of the receiver is separate"
@@ -64,12 +68,16 @@ def save(transfer: Transfer, path: str | os.PathLike[str], *, dtype: torch.dtype
         write_pieces(file, entries, metadata)
 
 
-def load(path: str | os.PathLike[str], *, mapped: bool = False) -> Transfer:
+def load(path: str | os.PathLike[str], *, mapped: bool | None = None, numbers: bool = True) -> Transfer:
     """Reads a transfer that `save` wrote, of this format or an older one; the tensors are on the CPU.
 
-    `mapped`: they are maps of the file, read from disk where they are used, and must not be written to. While there
-    are any nobody may cut the file short, which ends the process; replacing it is no harm.
+    Tensors of a file of 64 MiB or more are maps of it, those of a smaller one copies, unless `mapped` says otherwise.
+    A map is read from disk where it is used, so that the file may be larger than memory; what is written into it stays
+    in this process. Replacing the file, as `save` does, is no harm: the map is of the former one (Windows refuses it).
+    Writing into the file in its place, as `cp` does, changes the map, and cutting it short ends the process when what
+    is gone is read: where that may happen, or on a network disk that may go away, read it with `mapped=False`.
 
+    Values are checked as they are read once, some at a time. Without `numbers` dense signals are not looked at.
     A `.prt` or `.pca` that D3DX saved is read as `load_d3dx` does without a mesh.
     Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of a newer format, holds a
     kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
@@ -80,22 +88,29 @@ def load(path: str | os.PathLike[str], *, mapped: bool = False) -> Transfer:
         return load_d3dx(path)
     refuse_other(path, "a transfer")
     try:
-        with safe_open(path, framework="pt") as file:
-            names = set(file.keys())
+        file = MappedFile(path)
+        stays = path.stat().st_size >= _MAPPED if mapped is None else mapped
+    except OSError as fault:
+        if fault.errno == errno.ENOMEM:
+            raise InputError(f"{path} does not fit into the memory of this process ({fault.strerror})") from fault
+        raise _not_whole(path, fault) from fault
+    except SafetensorError as fault:
+        raise _not_whole(path, fault) from fault
 
-            def tensor(name: str) -> Tensor:
-                if name not in names:
-                    raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
-                # A copy: what is a map of the file ends the process when another program cuts the file short.
-                value: Tensor = file.get_tensor(name)
-                return value if mapped else value.clone()
+    def tensor(name: str) -> Tensor:
+        if name not in file.names:
+            raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
+        value = file.tensor(name)
+        return value if stays else value.clone()
 
-            return _read(path, file.metadata() or {}, tensor)
-    except (SafetensorError, OSError) as fault:
-        raise InputError(f"{path} is not a whole safetensors file ({fault}): bake it again") from fault
+    return _read(path, file.metadata, tensor, numbers)
 
 
-def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor]) -> Transfer:
+def _not_whole(path: Path, fault: Exception) -> InputError:
+    return InputError(f"{path} is not a whole safetensors file ({fault}): bake it again")
+
+
+def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor], numbers: bool) -> Transfer:
     if "kind" not in metadata or "format" not in metadata:
         raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
     if metadata["format"] not in map(str, range(1, FORMAT + 1)):
@@ -122,7 +137,7 @@ def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor])
                 signal = _part(Signal.family, "signal", said.pop("signal"), tensor, f"{name}.signal.")
                 layers[name] = _part(Layer.family, "layer", said, tensor, f"{name}.", signal=signal)
             transfer = Transfer(receivers=receivers, layers=layers, **provenance)
-        transfer.check()
+        transfer.check(numbers=numbers)
     except InputError as fault:
         text = str(fault)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from fault

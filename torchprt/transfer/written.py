@@ -15,7 +15,7 @@ from torch import Tensor
 from torchprt.errors import InputError
 from torchprt.transfer.pieces import pieces
 
-_NAMES = {
+NAMES = {
     torch.float64: "F64",
     torch.float32: "F32",
     torch.float16: "F16",
@@ -56,7 +56,7 @@ def write_pieces(file: BinaryIO, entries: Mapping[str, Entry], metadata: Mapping
         entry = entries[name]
         places[name], end = end, end + entry.bytes
         header[name] = {
-            "dtype": _NAMES[entry.dtype],
+            "dtype": NAMES[entry.dtype],
             "shape": list(entry.value.shape),
             "data_offsets": [places[name], end],
         }
