@@ -165,16 +165,16 @@ class Clustered(Signal):
     def check(self, of: str = "") -> None:
         """InputError if a tensor holds NaN or infinity, or labels, offsets and weights do not fit together."""
         super().check(of)
-        label, offsets, counts = self.label.long(), self.offsets.long(), self.counts
+        label, offsets, counts = self.label, self.offsets.long(), self.counts
         if len(label) and (label.min() < 0 or label.max() >= len(self.mean)):
             raise InputError("label of the transfer names clusters that it does not have: compress it again")
         whole = int(offsets[0]) == 0 and int(offsets[-1]) == len(self.basis)
         if not whole or (len(counts) and counts.min() < 0):
             raise InputError("offsets of the transfer do not count its PCA vectors: compress it again")
-        if int(counts[label].sum()) != len(self.weights):
+        wanted = sum(int(counts[some.long()].sum()) for some in label.split(1 << 20))
+        if wanted != len(self.weights):
             raise InputError(
-                f"weights of the transfer are {len(self.weights)}, but its receivers have {int(counts[label].sum())}: "
-                "compress it again"
+                f"weights of the transfer are {len(self.weights)}, but its receivers have {wanted}: compress it again"
             )
 
     def _mapped(self, change: Callable[[Tensor], Tensor]) -> Clustered:

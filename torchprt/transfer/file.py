@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+import torch
+from safetensors import SafetensorError
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -20,11 +21,15 @@ from torchprt.transfer.d3dx import SUFFIXES, load_d3dx
 from torchprt.transfer.format1 import from_format1
 from torchprt.transfer.layer import Layer
 from torchprt.transfer.layout import Part
+from torchprt.transfer.mapped import MappedFile
 from torchprt.transfer.receivers import Receivers
 from torchprt.transfer.signal import Signal
 from torchprt.transfer.transfer import SELDOM, Transfer
+from torchprt.transfer.written import Entry, write_pieces
 
 FORMAT = 2
+# Bytes of a file from which on it is mapped: fewer are copied in no time, and are safe from whoever writes into it.
+_MAPPED = 1 << 26
 CONVENTIONS = (
     "real orthonormal spherical harmonics with the Condon-Shortley sign, index l(l+1)+m; world frame, y up; "
     "directions point away from the surface; transfer carries 1/pi, albedo of the receiver is separate"
@@ -32,12 +37,14 @@ CONVENTIONS = (
 _PROVENANCE = [field.name for field in dataclasses.fields(Transfer) if field.name not in ("receivers", "layers")]
 
 
-def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
+def save(transfer: Transfer, path: str | os.PathLike[str], *, dtype: torch.dtype | None = None) -> None:
     """Writes a transfer to `path` (`.safetensors`); a reader never sees half of it.
 
     The file holds the tensors of the receivers by name, those of a layer as `layer.name`, those of its signal as
     `layer.signal.name`; the metadata are the format version, conventions, provenance, and as JSON what the receivers,
-    the layers and their signals are, and which tensors they have.
+    the layers and their signals are, and which tensors they have. `dtype`: that signals are stored as, as
+    `Transfer.to(dtype)` would have them. A piece is written at a time, so that tensors may be maps of files that are
+    larger than memory.
     Raises InputError if a value is NaN or infinite, or `path` cannot be written or has another suffix.
     """
     path = Path(path)
@@ -45,27 +52,32 @@ def save(transfer: Transfer, path: str | os.PathLike[str]) -> None:
         raise InputError(f"{path} must end in .safetensors")
     transfer.check()
     layers = []
-    tensors = dict(transfer.receivers.tensors())
+    entries = {name: Entry(value, value.dtype) for name, value in transfer.receivers.tensors().items()}
     for name, layer in transfer.layers.items():
-        tensors |= {f"{name}.{each}": value for each, value in layer.tensors().items()}
-        tensors |= {f"{name}.signal.{each}": value for each, value in layer.signal.tensors().items()}
-        layers.append({"name": name, **_said(layer), "signal": _said(layer.signal)})
+        signal = layer.signal
+        entries |= {f"{name}.{each}": Entry(value, value.dtype) for each, value in layer.tensors().items()}
+        entries |= {
+            f"{name}.signal.{each}": Entry(value, dtype if dtype and each in signal.stored else value.dtype)
+            for each, value in signal.tensors().items()
+        }
+        layers.append({"name": name, **_said(layer), "signal": _said(signal)})
     metadata = {"kind": transfer.kind, "format": str(FORMAT), "conventions": CONVENTIONS}
     metadata |= {"receivers": json.dumps(_said(transfer.receivers)), "layers": json.dumps(layers)}
     metadata |= {name: json.dumps(value) for name, value in transfer.provenance.items()}
-    contents: dict[str, Tensor] = {}
-    for name, value in tensors.items():
-        value = value.detach().cpu().contiguous()
-        # Layers may share tensors, which a file may not.
-        shared = {each.untyped_storage().data_ptr() for each in contents.values()}
-        contents[name] = value.clone() if value.untyped_storage().data_ptr() in shared else value
-    with atomic(path) as temporary:
-        save_file(contents, temporary, metadata=metadata)
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        write_pieces(file, entries, metadata)
 
 
-def load(path: str | os.PathLike[str]) -> Transfer:
+def load(path: str | os.PathLike[str], *, mapped: bool | None = None, numbers: bool = True) -> Transfer:
     """Reads a transfer that `save` wrote, of this format or an older one; the tensors are on the CPU.
 
+    Tensors of a file of 64 MiB or more are maps of it, those of a smaller one copies, unless `mapped` says otherwise.
+    A map is read from disk where it is used, so that the file may be larger than memory; what is written into it stays
+    in this process. Replacing the file, as `save` does, is no harm: the map is of the former one (Windows refuses it).
+    Writing into the file in its place, as `cp` does, changes the map, and cutting it short ends the process when what
+    is gone is read: where that may happen, or on a network disk that may go away, read it with `mapped=False`.
+
+    Values are checked as they are read once, some at a time. Without `numbers` dense signals are not looked at.
     A `.prt` or `.pca` that D3DX saved is read as `load_d3dx` does without a mesh.
     Raises InputError, naming the file and the fault, if it is missing, truncated or foreign, of a newer format, holds a
     kind of layer or signal that is unknown, lacks a tensor or metadata, or a tensor has the wrong shape, dtype or a
@@ -76,22 +88,29 @@ def load(path: str | os.PathLike[str]) -> Transfer:
         return load_d3dx(path)
     refuse_other(path, "a transfer")
     try:
-        with safe_open(path, framework="pt") as file:
-            names = set(file.keys())
+        file = MappedFile(path)
+        stays = path.stat().st_size >= _MAPPED if mapped is None else mapped
+    except OSError as fault:
+        if fault.errno == errno.ENOMEM:
+            raise InputError(f"{path} does not fit into the memory of this process ({fault.strerror})") from fault
+        raise _not_whole(path, fault) from fault
+    except SafetensorError as fault:
+        raise _not_whole(path, fault) from fault
 
-            def tensor(name: str) -> Tensor:
-                if name not in names:
-                    raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
-                # A copy: what is a map of the file ends the process when another program cuts the file short.
-                value: Tensor = file.get_tensor(name)
-                return value.clone()
+    def tensor(name: str) -> Tensor:
+        if name not in file.names:
+            raise InputError(f"{path} lacks the tensor '{name}': it is damaged, bake it again")
+        value = file.tensor(name)
+        return value if stays else value.clone()
 
-            return _read(path, file.metadata() or {}, tensor)
-    except (SafetensorError, OSError) as fault:
-        raise InputError(f"{path} is not a whole safetensors file ({fault}): bake it again") from fault
+    return _read(path, file.metadata, tensor, numbers)
 
 
-def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor]) -> Transfer:
+def _not_whole(path: Path, fault: Exception) -> InputError:
+    return InputError(f"{path} is not a whole safetensors file ({fault}): bake it again")
+
+
+def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor], numbers: bool) -> Transfer:
     if "kind" not in metadata or "format" not in metadata:
         raise InputError(f"{path} is not a transfer of torchprt: give a file that `torchprt bake` wrote")
     if metadata["format"] not in map(str, range(1, FORMAT + 1)):
@@ -118,7 +137,7 @@ def _read(path: Path, metadata: dict[str, str], tensor: Callable[[str], Tensor])
                 signal = _part(Signal.family, "signal", said.pop("signal"), tensor, f"{name}.signal.")
                 layers[name] = _part(Layer.family, "layer", said, tensor, f"{name}.", signal=signal)
             transfer = Transfer(receivers=receivers, layers=layers, **provenance)
-        transfer.check()
+        transfer.check(numbers=numbers)
     except InputError as fault:
         text = str(fault)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from fault

@@ -10,6 +10,7 @@ from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
 from .mirrors import MirrorWarning
 from .neighbourhood import GridWarning, bake_neighbourhood
+from .output import Output
 from .passes import VolumeWarning
 from .patch import bake_patch, patch_transfer
 from .task import Runner, Task
@@ -22,6 +23,7 @@ __all__ = [
     "GridWarning",
     "MirrorWarning",
     "OrderWarning",
+    "Output",
     "Processes",
     "Runner",
     "Task",

@@ -20,6 +20,7 @@ from torchprt.scene import Geometry, Lightmap, Points, Scene, Volume
 from torchprt.sh import Projection
 from torchprt.trace import Tracer
 from torchprt.transfer import Transfer
+from torchprt.transfer.pieces import rows
 from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
 from torchprt.transport.bounce import Surfaces
@@ -31,12 +32,14 @@ from torchprt.transport.directions import hemisphere
 from torchprt.transport.estimate import error_and_signal
 from torchprt.transport.membrane import sheets
 from torchprt.transport.mirrors import warn_of_cut
+from torchprt.transport.output import Output, output_of
 from torchprt.transport.points import among, at_points, bake_points
 from torchprt.transport.progress import Bar
 from torchprt.transport.sight import with_sight
-from torchprt.transport.solve import channels_first, solve, surfaces, vertex_receivers
+from torchprt.transport.solve import solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface import bodies_of, unshadowed_through
+from torchprt.transport.tables import InMemory, Mapped, Tables, channels_first
 from torchprt.transport.task import CHUNK, Runner
 from torchprt.transport.texels import Lightmapped, lightmapped
 from torchprt.transport.texels import with_sight as texels_with_sight
@@ -61,6 +64,7 @@ def bake(
     runner: Runner | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
+    out: str | os.PathLike[str] | Output | None = None,
     progress: bool | Report = True,
     frame: Frame = "exit",
     output_order: int | None = None,
@@ -87,6 +91,10 @@ def bake(
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
     - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
+    - `out`: a `.safetensors` to write, part by part, for a result that is larger than memory. What grows with receivers
+      times coefficients then stands in files beside it that are mapped into memory, the same bits as without; the
+      tensors of the result are maps of the file (an `Output` says more, as a dtype). Chunks are kept in a folder
+      OUT.partial unless a `checkpoint` is named.
     - `progress`: a bar on standard error, or an object with the methods of `torchprt.progress.Report`.
 
     - `raw`: leave receivers that cannot see as they are, black; otherwise see `with_sight`: they are turned, moved, or
@@ -124,11 +132,18 @@ def bake(
     `36 M N rays` for the products along the directions of the estimate; a thread `4 * 512 M N` of results, with
     bounces `4 N C max(2^16, rays)` of what arrives.
 
-    Raises InputError if an argument is out of range, does not fit the scene, or the checkpoint folder cannot be used;
+    With `out` what grows with the receivers is the scene, its tree and the copies alone; on disk there are
+    `4 V N C` bytes for the file, as many for what arrives, twice as many more while something bounces (three times with
+    membranes), and the checkpoint. Matrices alike.
+
+    Raises InputError if an argument is out of range, does not fit the scene, or the checkpoint folder cannot be used,
+    and with `out` if light diffuses in bodies;
     KeyboardInterrupt after the chunks that are being traced are finished and kept.
     Source: Sloan, Kautz and Snyder 2002, section 5; Sloan, Hall, Hart and Snyder 2003, section 3.
     """
     check_numbers(order, rays, bounces, shadows, seed, threads, runner)
+    output = output_of(out)
+    tables: Tables = InMemory() if output is None else Mapped(Path(output.path))
     geometry = scene.geometry()
     texels: Lightmapped | None = None
     if lightmap is not None:
@@ -138,9 +153,15 @@ def bake(
             raise InputError(
                 f"{rays} rays a texel cannot start from {lightmap.samples} samples: give more, or fewer samples"
             )
-        texels = lightmapped(scene, geometry, lightmap, numbers(scene, order, bounces, output_order))
+        held = 0 if output is not None else numbers(scene, order, bounces, output_order)
+        texels = lightmapped(scene, geometry, lightmap, held)
         geometry = texels.geometry
-    membranes = sheets(geometry)
+    membranes, bodies = sheets(geometry), bodies_of(geometry)
+    if output is not None and bodies and receivers is None:
+        raise InputError(
+            "light that diffuses in a body comes from all of it, which must be in memory: bake without an output that "
+            "is written in parts, or leave the subsurface out"
+        )
     wanted = Wanted(frame, output_order or order, projection, factors, visibility_order or order)
     recorded = geometry if receivers is None else among(receivers, geometry)
     is_glossy = scene.requires().kind == "glossy" or len(recorded.glossy) > 0
@@ -152,20 +173,22 @@ def bake(
     between = _between(volume, geometry, order, shadows, wanted if is_glossy else None)
     baked: Transfer
     if not shadows:
-        shown = unshadowed(recorded.receiver_normals, order).T
+        shown = tables.empty(recorded.receivers, order**2)
+        for some in rows(*shown.shape):
+            shown[some] = unshadowed(recorded.receiver_normals[some], order).T
         if receivers is None:
-            shown = shown if membranes is None else membranes.through(shown)
+            shown = shown if membranes is None else membranes.through(shown, tables)
             with Threads(threads or os.cpu_count() or 1) as workers:
-                shown = unshadowed_through(shown, bodies_of(geometry), Stages(workers, Silent()))
-        vectors = channels_first(shown, shown.shape[1] // order**2)
+                shown = unshadowed_through(shown, bodies, Stages(workers, Silent()))
         if is_glossy and (receivers is None or len(recorded.glossy)):
-            baked = bake_glossy.bake_unshadowed(recorded, wanted, order, vectors)
+            baked = bake_glossy.bake_unshadowed(recorded, wanted, order, shown, tables)
         else:
+            vectors = channels_first(shown, order**2, tables)
             baked = result.diffuse(recorded, vectors, transport="unshadowed")
-        return baked if texels is None else dataclasses.replace(baked, receivers=texels.atlas(None))
+        baked = baked if texels is None else dataclasses.replace(baked, receivers=texels.atlas(None))
+        return baked if output is None else output.written(baked)
     tracer = Tracer(geometry.positions, geometry.faces)
     channels = max(scene.requires(bounces).channels, 1 if between is None else between.channels)
-    bodies = bodies_of(geometry)
     if texels is not None:
         met: Surfaces = texels.surfaces(between)
         everything, validity = texels.receivers(tracer), None
@@ -179,6 +202,8 @@ def bake(
         met = surfaces(geometry, between)
     job = Job(tracer, met, everything, order, rays, seed, channels, membranes, validity, enough, bodies)
     folder = None if checkpoint is None else Path(checkpoint)
+    if folder is None and output is not None:
+        folder = output.partial
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
@@ -187,17 +212,21 @@ def bake(
         store = stack.enter_context(store_of(folder, job, geometry, points, bounces, wanted if is_glossy else None))
         if runner is None:
             runner = stack.enter_context(Threads(threads or os.cpu_count() or 1))
-        stages = Stages(runner, report, store)
+        stages = Stages(runner, report, store, tables)
         if points is not None and (len(points.glossy) or (bounces and len(geometry.glossy))):
             baked = bake_points(job, geometry, points, wanted, bounces, stages)
         elif is_glossy and points is None:
             baked = bake_glossy.bake_vertices(job, geometry, wanted, bounces, stages)
         else:
             baked = _diffuse(job, geometry, points, bounces, stages)
+        if texels is not None:
+            baked = dataclasses.replace(baked, receivers=texels.atlas(validity))
+        if output is not None:
+            baked = output.written(baked)
         if store is not None and not keep:
             store.discard()
     warn_of_cut(baked.cut)
-    return baked if texels is None else dataclasses.replace(baked, receivers=texels.atlas(validity))
+    return baked
 
 
 def numbers(scene: Scene, order: int, bounces: Bounces, output_order: int | None) -> int:
@@ -207,15 +236,26 @@ def numbers(scene: Scene, order: int, bounces: Bounces, output_order: int | None
     return count * (1 + (output_order or order) ** 2) if needed.kind == "glossy" else count
 
 
+def bytes_held(
+    scene: Scene, *, order: int, bounces: Bounces, output_order: int | None = None, lightmap: Lightmap | None = None
+) -> int:
+    """Bytes that a bake without `out` holds of what grows with receivers times coefficients, at most."""
+    sides = [len(each.two_sided) + int(each.two_sided.sum()) for each in scene.objects if each.receives]
+    receivers = sum(sides) if lightmap is None else lightmap.rows * lightmap.columns
+    return 4 * receivers * numbers(scene, order, bounces, output_order)
+
+
 def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int | float, stages: Stages) -> Transfer:
     if points is None:
         solution = solve(job, geometry.albedo, bounces, stages)
     else:
         job, solution = at_points(job, geometry, points, bounces, stages)
     error, signal = error_and_signal(job, solution.arriving, solution.exitant, stages)
+    # Makes room before the signal is laid out.
+    solution.exitant = None
     return result.diffuse(
         geometry if points is None else points,
-        solution.transfer,
+        channels_first(solution.shown, job.order**2, stages.tables),
         job.validity,
         transport="interreflected" if solution.bounces else "shadowed",
         bounces=solution.bounces,

@@ -22,9 +22,9 @@ from torchprt.transport.glossy import glossy
 from torchprt.transport.glossy_tasks import GlossyJob
 from torchprt.transport.receivers import tangent_frames
 from torchprt.transport.rows import Recording
-from torchprt.transport.solve import channels_first
 from torchprt.transport.solve_glossy import GlossySolution, solve
 from torchprt.transport.stages import Stages
+from torchprt.transport.tables import Tables, channels_first
 from torchprt.transport.visibility import on_the_fly, product_error
 from torchprt.version import VERSION
 
@@ -137,9 +137,10 @@ def finished(
         wanted,
         task.recording,
         result.vertices(geometry, job.validity),
-        channels_first(shown, shown.shape[1] // job.order**2),
+        shown,
         solution.arrived.matrix,
         worst,
+        stages.tables,
         transport="interreflected" if solution.bounces else "shadowed",
         bounces=solution.bounces,
         rays=job.rays,
@@ -156,12 +157,12 @@ def finished(
     return transfer
 
 
-def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, shown: Tensor) -> Transfer:
-    """The closed form at the vertices of a scene that has glossy ones; `shown [C, N, V]` are its diffuse vectors."""
+def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, shown: Tensor, tables: Tables) -> Transfer:
+    """The closed form at the vertices of a scene that has glossy ones; `shown [V, C * N]` are its diffuse vectors."""
     worst = warn_of_order(wanted, geometry, order)
     normals = geometry.receiver_normals
     recording = recording_of(wanted, geometry, order)
-    matrix = torch.empty(len(geometry.glossy), recording.count, recording.columns)
+    matrix = tables.empty(len(geometry.glossy), recording.count, recording.columns)
     turned = tangent_frames(normals[geometry.glossy], geometry.tangents).to(torch.float32)
     # The sum over any set of directions is the closed form.
     directions = hemisphere(64)
@@ -171,7 +172,7 @@ def bake_unshadowed(geometry: Geometry, wanted: Wanted, order: int, shown: Tenso
             matrix[some] = rows.unshadowed(turned[some])
     matrix[normals[geometry.glossy].abs().sum(-1) == 0] = 0
     receivers = result.vertices(geometry)
-    return _transfer(geometry, wanted, recording, receivers, shown, matrix, worst, transport="unshadowed")
+    return _transfer(geometry, wanted, recording, receivers, shown, matrix, worst, tables, transport="unshadowed")
 
 
 def _transfer(
@@ -182,20 +183,28 @@ def _transfer(
     shown: Tensor,
     arrived: Tensor,
     worst: float | None,
+    tables: Tables,
     **metadata: Any,
 ) -> Transfer:
-    """Transfer of diffuse vectors `shown [C, N, V]` and of the matrices that `arrived [G, R, C * N]`."""
+    """Transfer of diffuse vectors `shown [V, C * N]` and of the matrices that `arrived [G, R, C * N]`."""
     layers: dict[str, Layer] = {}
     if bool((geometry.albedo > 0).any()) or not len(geometry.glossy):
-        diffuse = Dense(values=shown.contiguous())
+        diffuse = Dense(values=channels_first(shown, recording.order**2, tables))
         layers["diffuse"] = Diffuse(albedo=result.uniform(geometry.albedo), signal=diffuse)
     if len(geometry.glossy):
-        layer = _eye_layer(geometry, wanted, recording, arrived, worst)
+        layer = _eye_layer(geometry, wanted, recording, arrived, worst, tables)
         layers[layer.kind] = layer
     return Transfer(receivers=receivers, layers=layers, version=VERSION, **metadata)
 
 
-def _eye_layer(geometry: Geometry, wanted: Wanted, recording: Recording, arrived: Tensor, worst: float | None) -> Layer:
+def _eye_layer(
+    geometry: Geometry,
+    wanted: Wanted,
+    recording: Recording,
+    arrived: Tensor,
+    worst: float | None,
+    tables: Tables,
+) -> Layer:
     """The layer of the matrices or the visibility that `arrived [G, R, C * N]`."""
     common: dict[str, Any] = {
         "receivers": geometry.glossy.to(torch.int32),
@@ -210,11 +219,11 @@ def _eye_layer(geometry: Geometry, wanted: Wanted, recording: Recording, arrived
     }
     if wanted.frame == "visibility":
         kernel, degree = on_the_fly(geometry.gloss[0], recording, wanted.output_order, wanted.projection)
-        seen = Dense(values=arrived[..., 0].T[None].contiguous())
+        seen = Dense(values=tables.laid_out(arrived[..., 0].T[None]))
         return Visibility(signal=seen, kernel=kernel, degree=degree, light_order=recording.order, **exits, **common)
     columns = recording.columns
-    matrix = arrived.view(-1, recording.count, arrived.shape[2] // columns, columns).permute(2, 0, 1, 3).contiguous()
-    common["signal"] = Dense(values=matrix)
+    matrix = arrived.view(-1, recording.count, arrived.shape[2] // columns, columns).permute(2, 0, 1, 3)
+    common["signal"] = Dense(values=tables.laid_out(matrix))
     if wanted.frame == "incident":
         return Incident(**common)
     factors = recording.factors

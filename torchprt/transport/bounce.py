@@ -32,12 +32,21 @@ class Gather:
     def __matmul__(self, exitant: Float[Tensor, "V W"]) -> Float[Tensor, "v W"]:
         if len(self.sources) == 0:
             return exitant.new_zeros(len(self.offsets) - 1, exitant.shape[1])
-        columns = exitant.unflatten(1, (self.weights.shape[1], -1))
-        return torch.cat([self._sum(columns[:, a], weights) for a, weights in enumerate(self.weights.unbind(1))], 1)
+        colours, sources = self.weights.shape[1], self.sources
+        if colours > 1 and len(exitant) > 4 * len(sources):
+            # A channel must be copied: of the rows that are met alone.
+            met, sources = sources.unique(return_inverse=True)
+            exitant, sources = exitant[met.long()], sources.to(torch.int32)
+        columns = exitant.unflatten(1, (colours, -1))
+        return torch.cat(
+            [self._sum(columns[:, a], sources, weights) for a, weights in enumerate(self.weights.unbind(1))], 1
+        )
 
-    def _sum(self, exitant: Float[Tensor, "V w"], weights: Float[Tensor, "E"]) -> Float[Tensor, "v w"]:
+    def _sum(
+        self, exitant: Float[Tensor, "V w"], sources: Int[Tensor, "E"], weights: Float[Tensor, "E"]
+    ) -> Float[Tensor, "v w"]:
         return torch.nn.functional.embedding_bag(
-            self.sources,
+            sources,
             exitant.contiguous(),
             self.offsets,
             mode="sum",

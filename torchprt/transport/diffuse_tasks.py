@@ -47,7 +47,7 @@ class Job:
     def through(self, arriving: Float[Tensor, "V W"], stages: Stages) -> Float[Tensor, "V D"]:
         """What diffuse surfaces reflect of what arrives at all receivers: with what shines through membranes, and what
         has diffused in bodies. Where there are bodies it has all `channels`, whatever came."""
-        found = arriving if self.sheets is None else self.sheets.through(arriving)
+        found = arriving if self.sheets is None else self.sheets.through(arriving, stages.tables)
         if not self.bodies:
             return found
         channels = arriving.shape[1] // self.order**2

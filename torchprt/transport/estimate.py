@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchprt.transfer.pieces import pieces
 from torchprt.transport.diffuse_tasks import Job, Record
 from torchprt.transport.glossy_tasks import GlossyJob, GlossyRecord
 from torchprt.transport.solve_glossy import GlossySolution
@@ -18,7 +19,7 @@ SAMPLE, SAMPLE_RAYS = 64, 8
 
 
 def error_and_signal(
-    job: Job, transfer: Float[Tensor, "C N V"], exitant: Tensor | None, stages: Stages
+    job: Job, arriving: Float[Tensor, "V W"], exitant: Tensor | None, stages: Stages
 ) -> tuple[float | None, float | None]:
     """RMS error of a coefficient, from a spread of receivers, and RMS of a coefficient over all receivers.
 
@@ -32,9 +33,10 @@ def error_and_signal(
     tasks = [Record(rows, *_finer(job)) for rows in sample]
     sums = []
     for task, better in stages.run("error", tasks, job, exitant):
-        sums.append(_square(transfer[:, :, task.index] - better["transfer"], (0, 1)))
+        finer = better["transfer"][: arriving.shape[1] // job.order**2]
+        sums.append(_square(arriving[task.index] - finer.permute(2, 0, 1).flatten(1), (1,)))
     job.once.forget()
-    return _figures(sums, sample, transfer, transfer.shape[0] * transfer.shape[1] * alive)
+    return _figures(sums, sample, arriving, arriving.shape[1] * alive)
 
 
 def glossy_error_and_signal(
@@ -74,7 +76,7 @@ def _spread(job: Job, candidates: Int[Tensor, "c"]) -> tuple[int, list[tuple[int
     return len(alive), [tuple(rows.tolist()) for rows in alive[order[:count]].split(8)]
 
 
-def _square(difference: Tensor, axes: tuple[int, int]) -> float:
+def _square(difference: Tensor, axes: tuple[int, ...]) -> float:
     """The mean square of a receiver, summed over receivers."""
     return float(difference.double().square().mean(axes).sum())
 
@@ -83,4 +85,6 @@ def _figures(sums: list[float], sample: list[tuple[int, ...]], result: Tensor, s
     """The error, and the signal of a result of `size` numbers at receivers that have a normal; others add nothing."""
     # An exact sum: it must not depend on which task came first.
     error = math.sqrt(math.fsum(sums) / sum(map(len, sample)))
-    return error, float(torch.linalg.vector_norm(result, dtype=torch.float64)) / math.sqrt(size)
+    # Some at a time: the norm of all in float64 would be twice as large as they are.
+    squares = [float(result[place].double().square().sum()) for place in pieces(result)]
+    return error, math.sqrt(math.fsum(squares) / size)

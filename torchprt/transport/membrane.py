@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.scene import Geometry
+from torchprt.transfer.pieces import rows
+from torchprt.transport.tables import Tables
 
 
 @dataclass
@@ -18,12 +20,16 @@ class Sheets:
     partner: Int[Tensor, "V"]
     share: Float[Tensor, "V"]
 
-    def through(self, arriving: Float[Tensor, "V W"]) -> Float[Tensor, "V W"]:
+    def through(self, arriving: Float[Tensor, "V W"], tables: Tables) -> Float[Tensor, "V W"]:
         """What arrives at a receiver plus its share of what arrives behind it.
 
         Source: Sloan, Luna and Snyder 2005, section 4 (the thin-membrane model): the sum of two clamped cosines.
         """
-        return torch.addcmul(arriving, self.share[:, None].to(arriving.dtype), arriving[self.partner])
+        found = tables.empty(*arriving.shape)
+        share = self.share[:, None].to(arriving.dtype)
+        for some in rows(*arriving.shape):
+            torch.addcmul(arriving[some], share[some], arriving[self.partner[some]], out=found[some])
+        return found
 
 
 def sheets(geometry: Geometry) -> Sheets | None:

@@ -38,6 +38,7 @@ from torchprt.transport.sight import with_sight
 from torchprt.transport.solve import exit_radiance, solve, surfaces, vertex_receivers
 from torchprt.transport.stages import Stages
 from torchprt.transport.subsurface import bodies_of
+from torchprt.transport.tables import in_channels
 from torchprt.transport.task import Runner, chunks
 from torchprt.transport.validity import along
 from torchprt.transport.workers import Threads, torch_on_one_thread
@@ -218,7 +219,8 @@ def _sent(
         glossy, sent, done, _ = sent_by_glossy(job, geometry, wanted, bounces, stages)
         return glossy, sent, done
     over = solve(job, geometry.albedo, bounces - 1, stages)
-    table = exit_radiance(over.transfer.expand(job.channels, -1, -1), geometry.albedo)
+    leaving = in_channels(over.shown, job.channels * job.order**2 // over.shown.shape[1], stages.tables)
+    table = exit_radiance(leaving, geometry.albedo, job.order**2, stages.tables)
     if not bool(table.any()):
         return diffuse, None, 0
     return diffuse, Exitant(table, 1), over.bounces + 1

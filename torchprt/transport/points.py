@@ -19,6 +19,7 @@ from torchprt.transport.receivers import Receivers
 from torchprt.transport.solve import Solution, exit_radiance, trace
 from torchprt.transport.solve_glossy import Arrived, GlossySolution, exitant
 from torchprt.transport.stages import Stages
+from torchprt.transport.tables import in_channels
 from torchprt.transport.task import chunks
 
 
@@ -68,9 +69,9 @@ def at_points(
         return here, Solution(transfer, transfer, cut=cut)
     over_vertices, sent = _sent(job, scene, bounces, stages)
     tasks = [Record(rows, job.rays, job.seed) for rows in chunks(len(here.receivers))]
-    transfer = torch.empty(job.channels, job.order**2, len(here.receivers))
+    transfer = stages.tables.empty(len(here.receivers), job.channels * job.order**2)
     for task, found in stages.run("points", tasks, here, sent, first=_first(job)):
-        transfer[:, :, task.index] = found["transfer"]
+        transfer[task.index] = found["transfer"].permute(2, 0, 1).flatten(1)
     return here, Solution(transfer, transfer, sent, over_vertices.bounces + 1, over_vertices.cut)
 
 
@@ -95,8 +96,8 @@ def bake_points(
     task = dataclasses.replace(task, hit=hit)
     columns = job.channels * task.recording.columns
     arrived = Arrived(
-        torch.empty(len(task.job.receivers), job.channels * job.order**2),
-        torch.empty(len(points.glossy), task.recording.count, columns),
+        stages.tables.empty(len(task.job.receivers), job.channels * job.order**2),
+        stages.tables.empty(len(points.glossy), task.recording.count, columns),
     )
     tasks = [GlossyRecord(rows, job.rays, job.seed) for rows in chunks(len(task.job.receivers))]
     for chunk, found in stages.run("points", tasks, task, sent, first=_first(job)):
@@ -121,8 +122,9 @@ def _first(job: Job) -> int:
 def _sent(job: Job, scene: Geometry, bounces: int | float, stages: Stages) -> tuple[Solution, Tensor]:
     """Transfer of diffuse surfaces with all bounces but the last, and what they send out of it."""
     found = solve.solve(job, scene.albedo, bounces - 1, stages)
-    transfer = found.transfer.repeat(job.channels // len(found.transfer), 1, 1)
-    return found, exit_radiance(transfer, scene.albedo)
+    columns = job.order**2
+    leaving = in_channels(found.shown, job.channels * columns // found.shown.shape[1], stages.tables)
+    return found, exit_radiance(leaving, scene.albedo, columns, stages.tables)
 
 
 def sent_by_glossy(
@@ -133,7 +135,7 @@ def sent_by_glossy(
     task = job_of(job, scene, recording_of(wanted, scene, job.order))
     found = solve_glossy.solve(task, bounces - 1, stages)
     columns = found.arrived.diffuse.shape[1]
-    arrived = solve_glossy.repeated(found.arrived, job.channels * job.order**2 // columns)
+    arrived = solve_glossy.repeated(found.arrived, job.channels * job.order**2 // columns, stages.tables)
     return task.glossy, exitant(task, arrived, stages), found.bounces + 1, found.cut
 
 

@@ -11,22 +11,24 @@ from torch import Tensor
 
 from torchprt.scene import Geometry
 from torchprt.trace import Tracer
+from torchprt.transfer.pieces import rows
 from torchprt.transport.bounce import Surfaces
 from torchprt.transport.diffuse_tasks import Bounce, Job, Trace
 from torchprt.transport.mirrors import mean_cut, mirrors_of
 from torchprt.transport.receivers import Receivers
 from torchprt.transport.stages import Stages
+from torchprt.transport.tables import Tables, any_of, in_channels
 from torchprt.transport.task import chunks
 from torchprt.transport.through_volume import ThroughVolume
 
 
 @dataclass
 class Solution:
-    """`transfer [C, N, V]`; `arriving`, what came before membranes and bodies changed it; `exitant [V, C * N]`, what
-    its last bounce gathered from (None without one). `cut`: the share of light that was left out among mirrors, None if
-    there are none."""
+    """What leaves all receivers, `shown [V, C * N]`, and what arrived there before membranes and bodies changed it,
+    `arriving [V, A * N]`; `exitant [V, C * N]`, what its last bounce gathered from (None without one). `cut`: the share
+    of light that was left out among mirrors, None if there are none."""
 
-    transfer: Tensor
+    shown: Tensor
     arriving: Tensor
     exitant: Tensor | None = None
     bounces: int = 0
@@ -78,66 +80,66 @@ def _around_vertices(geometry: Geometry) -> tuple[Float[Tensor, "Vall"], Float[T
     return size, total / count.clamp(min=1)[:, None]
 
 
-def exit_radiance(transfer: Float[Tensor, "C N V"], albedo: Float[Tensor, "V D"]) -> Float[Tensor, "V W"]:
-    """Transfer times albedo, vertices first so that a hit reads one row, channels and coefficients side by side."""
-    factors = albedo.expand(-1, len(transfer)) if len(transfer) > 1 else albedo[:, :1]
-    return (transfer.permute(2, 0, 1) * factors[:, :, None]).flatten(1)
+def exit_radiance(
+    leaving: Float[Tensor, "V W"], albedo: Float[Tensor, "V D"], columns: int, tables: Tables
+) -> Float[Tensor, "V W"]:
+    """Transfer times albedo, vertices first so that a hit reads one row, channels and N `columns` side by side."""
+    channels = leaving.shape[1] // columns
+    factors = albedo.expand(-1, channels) if channels > 1 else albedo[:, :1]
+    found = tables.empty(*leaving.shape)
+    for some in rows(*leaving.shape):
+        torch.mul(
+            leaving[some].unflatten(1, (channels, columns)),
+            factors[some, :, None],
+            out=found[some].unflatten(1, (channels, columns)),
+        )
+    return found
 
 
 def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: Stages) -> Solution:
     """Transfer of all receivers of `job`, which are those that reflect; bounces need a store for their hits."""
     direct, cut = trace(job, stages, keep_hits=bounces > 0)
-    vectors = job.filled(direct.permute(2, 0, 1).flatten(1).contiguous())
-    direct = vectors.unflatten(1, direct.shape[:2]).permute(1, 2, 0)
-
-    def alone() -> Solution:
-        shown = job.through(vectors, stages)
-        return Solution(channels_first(shown, shown.shape[1] // job.order**2), direct, cut=cut)
-
+    job.filled(direct)
     if not bounces:
-        return alone()
+        return Solution(job.through(direct, stages), direct, cut=cut)
     assert stages.store is not None
-    tasks = [Bounce(rows, number) for number, rows in enumerate(chunks(len(job.receivers)))]
-    # From here on vertices first; the layout that shades again at the end.
-    total = direct.expand(job.channels, -1, -1).permute(2, 0, 1).flatten(1).contiguous()
-    scale = exit_radiance(torch.ones(job.channels, job.order**2, 1).expand(-1, -1, len(total)), albedo)
-    added, count = total, 0
+    tables, columns = stages.tables, job.order**2
+    tasks = [Bounce(each, number) for number, each in enumerate(chunks(len(job.receivers)))]
+    total = in_channels(direct, job.channels * columns // direct.shape[1], tables)
     # Of all that has arrived: it is linear, so that every bounce asks for its own alone.
     leaving = gone = job.through(total, stages)
+    count = 0
     while count < bounces:
-        exitant = scale * gone
-        added = torch.empty_like(total)
+        exitant = exit_radiance(gone, albedo, columns, tables)
+        first = gone is leaving
+        added = tables.empty(*total.shape)
         for task, found in stages.run(f"bounce {count + 1}", tasks, stages.store, exitant):
             added[task.index] = found["arriving"]
-        if bounces == math.inf and not count and not bool(added.any()):
+        if bounces == math.inf and not count and not any_of(added):
             # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
-            return alone()
+            return Solution(job.through(direct, stages), direct, cut=cut)
         job.filled(added)
         # The sum of all bounces is one more gather from the sum of all but the last.
-        sent = scale * leaving
-        total = total + added
+        sent = exitant if first else None
+        del exitant
+        sent = exit_radiance(leaving, albedo, columns, tables) if sent is None else sent
+        total += added
         gone = job.through(added, stages)
-        leaving = leaving + gone
+        if job.changes:
+            leaving += gone
         count += 1
         if bounces == math.inf and added.norm() <= job.enough * total.norm():
             break
-    arriving = channels_first(total, job.channels)
-    shown = channels_first(leaving, job.channels) if job.changes else arriving
-    return Solution(shown, arriving, sent, count, cut)
+    return Solution(leaving, total, sent, count, cut)
 
 
-def channels_first(rows: Float[Tensor, "V W"], channels: int) -> Float[Tensor, "C N V"]:
-    """Vectors with vertices first as the layout that shades."""
-    return rows.view(len(rows), channels, -1).permute(1, 2, 0).contiguous()
-
-
-def trace(job: Job, stages: Stages, *, keep_hits: bool) -> tuple[Float[Tensor, "A N V"], float | None]:
-    """Shadowed transfer of every chunk that the store does not hold yet; with `keep_hits` the store gets the hits. The
-    second is what mirrors cut off, as in `Solution`."""
-    tasks = [Trace(rows, job.rays, job.seed, keep_hits) for rows in chunks(len(job.receivers))]
-    transfer = torch.empty(job.surfaces.channels, job.order**2, len(job.receivers))
+def trace(job: Job, stages: Stages, *, keep_hits: bool) -> tuple[Float[Tensor, "V W"], float | None]:
+    """Shadowed transfer of every chunk that the store does not hold yet, receivers first; with `keep_hits` the store
+    gets the hits. The second is what mirrors cut off, as in `Solution`."""
+    tasks = [Trace(each, job.rays, job.seed, keep_hits) for each in chunks(len(job.receivers))]
+    transfer = stages.tables.empty(len(job.receivers), job.surfaces.channels * job.order**2)
     cut: list[float] = []
     for task, found in stages.run("trace", tasks, job, first=0):
-        transfer[..., task.index] = found["transfer"]
+        transfer[task.index] = found["transfer"].permute(2, 0, 1).flatten(1)
         cut += found["cut"].tolist() if "cut" in found else []
     return transfer, mean_cut(cut)

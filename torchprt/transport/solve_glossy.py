@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
+from torchprt.transfer.pieces import rows
 from torchprt.transport.glossy import Exitant
 from torchprt.transport.glossy_tasks import GlossyBounce, GlossyJob, GlossyTrace, Recorded
 from torchprt.transport.mirrors import mean_cut
 from torchprt.transport.stages import Stages
+from torchprt.transport.tables import Tables, in_channels
 from torchprt.transport.task import chunks
 
 
@@ -21,6 +22,11 @@ class Arrived:
 
     diffuse: Tensor
     matrix: Tensor
+
+    def add_(self, other: Arrived) -> None:
+        """Adds what arrived beside it, in place."""
+        self.diffuse.add_(other.diffuse)
+        self.matrix.add_(other.matrix)
 
     def norm(self) -> float:
         return math.hypot(float(self.diffuse.norm()), float(self.matrix.norm()))
@@ -46,17 +52,25 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     alone, cut = _trace(task, recorded, stages, keep_hits=bounces > 0)
     if not bounces:
         return GlossySolution(alone[0], cut=cut)
-    direct = [repeated(each, task.job.channels // task.job.surfaces.channels) for each in alone]
-    total, added, count = direct[0], direct[0], 0
+    tables = stages.tables
+    direct = [repeated(each, task.job.channels // task.job.surfaces.channels, tables) for each in alone]
+    total, count = direct[0], 0
+    if len(recorded) > 1:
+        # Recordings share what is diffuse, and bounces are added in place.
+        total = Arrived(tables.empty(*direct[0].diffuse.shape), direct[0].matrix)
+        total.diffuse.copy_(direct[0].diffuse)
+    added = total
     while count < bounces:
         sent = exitant(task, total, stages)
         if len(recorded) > 1 and count == bounces - 1:
             break
-        added = _bounce(task, exitant(task, added, stages), recorded[0], stages, count + 1)
+        source = sent if added is total else exitant(task, added, stages)
+        added = _bounce(task, source, recorded[0], stages, count + 1)
+        del source
         if bounces == math.inf and not count and not added.norm():
             # Nothing that rays meet reflects, as around a convex body: none of the bounces is one, nor has it colour.
             return GlossySolution(alone[-1], cut=cut)
-        total = Arrived(total.diffuse + added.diffuse, total.matrix + added.matrix)
+        total.add_(added)
         count += 1
         if bounces == math.inf and added.norm() <= task.job.enough * total.norm():
             break
@@ -65,8 +79,8 @@ def solve(task: GlossyJob, bounces: int | float, stages: Stages) -> GlossySoluti
     # One more gather, into the rows that are wanted.
     sent = exitant(task, total, stages)
     last = _bounce(task, sent, recorded[1], stages, count + 1)
-    arrived = Arrived(direct[1].diffuse + last.diffuse, direct[1].matrix + last.matrix)
-    return GlossySolution(arrived, sent, count + 1, cut)
+    direct[1].add_(last)
+    return GlossySolution(direct[1], sent, count + 1, cut)
 
 
 def exitant(task: GlossyJob, arrived: Arrived, stages: Stages) -> Exitant:
@@ -74,9 +88,15 @@ def exitant(task: GlossyJob, arrived: Arrived, stages: Stages) -> Exitant:
     channels = task.job.channels
     albedo, specular = _widths(task.albedo, channels), _widths(task.specular, channels)
     columns = arrived.diffuse.shape[1] // channels
-    diffuse = task.job.through(arrived.diffuse, stages) * albedo.repeat_interleave(columns, 1)
-    matrix = arrived.matrix * specular.repeat_interleave(columns, 1)[:, None]
-    return Exitant(torch.cat([diffuse, matrix.flatten(0, 1)]), math.isqrt(arrived.matrix.shape[1]))
+    leaving = task.job.through(arrived.diffuse, stages)
+    count, height, width = arrived.matrix.shape
+    table = stages.tables.empty(len(leaving) + count * height, width)
+    for some in rows(*leaving.shape):
+        table[some] = leaving[some] * albedo[some].repeat_interleave(columns, 1)
+    matrix = table[len(leaving) :].view(count, height, width)
+    for some in rows(count, height * width):
+        matrix[some] = arrived.matrix[some] * specular[some].repeat_interleave(columns, 1)[:, None]
+    return Exitant(table, math.isqrt(height))
 
 
 def _widths(weights: Tensor, channels: int) -> Tensor:
@@ -89,10 +109,10 @@ def _trace(
     """Direct light of every chunk, one for each recording; the diffuse part belongs to all. And what was cut off."""
     job, glossy = task.job, task.glossy
     channels = job.surfaces.channels
-    tasks = [GlossyTrace(rows, job.rays, job.seed, recorded, keep_hits) for rows in chunks(len(job.receivers))]
-    diffuse = torch.empty(len(job.receivers), channels * job.order**2)
+    tasks = [GlossyTrace(each, job.rays, job.seed, recorded, keep_hits) for each in chunks(len(job.receivers))]
+    diffuse = stages.tables.empty(len(job.receivers), channels * job.order**2)
     recordings = [task.recording_of(each) for each in recorded]
-    matrices = [torch.empty(len(glossy.receivers), r.count, channels * r.columns) for r in recordings]
+    matrices = [stages.tables.empty(len(glossy.receivers), r.count, channels * r.columns) for r in recordings]
     cut: list[float] = []
     for chunk, found in stages.run("trace", tasks, task, first=0):
         diffuse[chunk.index] = found["transfer"].permute(2, 0, 1).flatten(1)
@@ -105,19 +125,19 @@ def _trace(
     return [Arrived(diffuse, matrix) for matrix in matrices], mean_cut(cut)
 
 
-def repeated(arrived: Arrived, times: int) -> Arrived:
-    """The same in more channels."""
-    return Arrived(arrived.diffuse.repeat(1, times), arrived.matrix.repeat(1, 1, times))
+def repeated(arrived: Arrived, times: int, tables: Tables) -> Arrived:
+    """The same in more channels; itself in as many."""
+    return Arrived(in_channels(arrived.diffuse, times, tables), in_channels(arrived.matrix, times, tables))
 
 
 def _bounce(task: GlossyJob, sent: Exitant, recorded: Recorded, stages: Stages, bounce: int) -> Arrived:
     job, width = task.job, sent.table.shape[1]
     tasks = [
-        GlossyBounce(rows, job.rays, job.seed, recorded, number)
-        for number, rows in enumerate(chunks(len(job.receivers)))
+        GlossyBounce(each, job.rays, job.seed, recorded, number)
+        for number, each in enumerate(chunks(len(job.receivers)))
     ]
-    matrix = torch.empty(len(task.glossy.receivers), task.recording_of(recorded).count, width)
-    added = Arrived(torch.empty(len(job.receivers), width), matrix)
+    matrix = stages.tables.empty(len(task.glossy.receivers), task.recording_of(recorded).count, width)
+    added = Arrived(stages.tables.empty(len(job.receivers), width), matrix)
     for chunk, found in stages.run(f"bounce {bounce}", tasks, task, sent, stages.store):
         added.diffuse[chunk.index] = found["arriving"]
         added.matrix[task.glossy.among(chunk.index)] = found["matrix"]

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor
 
 from torchprt.progress import Report
+from torchprt.transport.tables import InMemory, Tables
 from torchprt.transport.task import Results, Runner, T, Task
 
 
 @dataclass(frozen=True)
 class Stages:
-    """Who runs the tasks of a bake, who is told of them, and where results wait, if anywhere."""
+    """Who runs the tasks of a bake, who is told of them, where results wait, if anywhere, and where they are put
+    together."""
 
     runner: Runner
     report: Report
     store: Results | None = None
+    tables: Tables = field(default_factory=InMemory)
 
     def run(
         self, stage: str, tasks: Sequence[T], *shared: object, first: int | None = None

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchprt.scene import Geometry
 from torchprt.scene.weld import weld
 from torchprt.transfer import Sight
+from torchprt.transfer.pieces import NUMBERS
 from torchprt.transport.task import Once
 
 # Faces of one surface that meet at a seam, where vertices are repeated, as `scene.normals` has it.
@@ -40,10 +41,15 @@ class Validity:
         """
         if not len(self.rows):
             return
-        solved = self.once("factors", lambda: splu(self.between.tocsc())).solve(
-            self.beside @ arriving.numpy().astype(np.float64)
-        )
-        arriving[self.rows] = torch.from_numpy(solved).to(arriving.dtype)
+        factors = self.once("factors", lambda: splu(self.between.tocsc()))
+        # Of the rows that are around alone, and some columns at a time: the table may be larger than memory.
+        around = np.unique(self.beside.indices)
+        beside, number = self.beside[:, around], torch.from_numpy(around).long()
+        step = max(1, NUMBERS // max(len(self.rows), len(around), 1))
+        for start in range(0, arriving.shape[1], step):
+            some = slice(start, start + step)
+            known = arriving[number, some].numpy().astype(np.float64)
+            arriving[self.rows, some] = torch.from_numpy(factors.solve(beside @ known)).to(arriving.dtype)
 
     def among(self, chosen: Int[Tensor, "G"]) -> Validity:
         """The same for tables with a row for each of the `chosen` receivers, which are filled among themselves."""
