@@ -34,6 +34,8 @@ _BLOCK = 1 << 14
 _PER_CLUSTER, _LEAST = 512, 1 << 16
 # Copies of all numbers that clustering makes, about.
 _COPIES = 4
+# Passes that fit means and axes to all receivers: each is a reading of the file.
+_FITS = 3
 # Bytes of scatter matrices, at most; where they are more, means and axes stay those of the sample.
 _MOMENTS = 1 << 30
 # Squared singular values below this part of the largest are rounding.
@@ -316,8 +318,9 @@ class _Streamed:
         receivers = self.dense.shape[0]
         found = self.found
         if found.moments_bytes <= _MOMENTS:
-            with one_thread(), self.passes.stage("fitting", 1, receivers) as stage:
-                found = self._refitted(stage.advance)
+            with one_thread(), self.passes.stage("fitting", _FITS, receivers) as stage:
+                for _ in range(_FITS):
+                    found = self._refitted(found, stage.advance)
         found = found.stored()
         with one_thread(), self.passes.stage("assigning", 1, receivers) as stage:
             label, low, step = self._assigned(found, stage.advance)
@@ -348,9 +351,8 @@ class _Streamed:
         made = found.signal(label=label, weights=weights, squared_error=squared)
         return made.replace(method=method, compression_error=relative)
 
-    def _refitted(self, advance: Advance) -> _Found:
+    def _refitted(self, found: _Found, advance: Advance) -> _Found:
         """What was found, with means and axes of all receivers that it is nearest to."""
-        found = self.found
         moments = _Moments(found.space.metric(found.mean).double())
 
         def work(block: slice) -> tuple[Tensor, Tensor]:
