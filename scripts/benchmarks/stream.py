@@ -127,6 +127,7 @@ def large() -> Iterator[Table]:
 
 PARTS = {"sample": sample, "large": large}
 
+
 def run(names: list[str] | None = None) -> None:
     """Prints the tables of all parts, or of some."""
     torch.set_num_threads(1)

@@ -55,7 +55,9 @@ def compress(
     ] = None,
     sample: Annotated[
         int | None,
-        typer.Option(min=1, help="Find clusters from so many receivers, as for large files.", show_default="all that fit"),
+        typer.Option(
+            min=1, help="Find clusters from so many receivers, as for large files.", show_default="all that fit"
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
 ) -> None:

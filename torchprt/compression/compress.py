@@ -160,9 +160,7 @@ def _sought(
     return _to(dense, make, sizes, float(error), options)
 
 
-def _within(
-    dense: Dense, make: Make, sizes: list[Sizes], bytes: int, kept: int, options: dict[str, Any]
-) -> Clustered:
+def _within(dense: Dense, make: Make, sizes: list[Sizes], bytes: int, kept: int, options: dict[str, Any]) -> Clustered:
     """Of all `sizes` of at most so many bytes the one expected to have the least error."""
     limit = bytes - kept
     while True:

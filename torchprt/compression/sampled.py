@@ -217,7 +217,9 @@ class _Found:
         if self.bits == 32:
             return self
         none = self.mean.new_zeros(0, int(self.counts.max()))
-        check_half(ClusteredPca(self.offsets[:0], self.mean, self.basis, self.offsets, none, none[:, :0].sum(1).double()))
+        check_half(
+            ClusteredPca(self.offsets[:0], self.mean, self.basis, self.offsets, none, none[:, :0].sum(1).double())
+        )
         return replace(self, **{name: getattr(self, name).half() for name in ("mean", "basis", "shared")})
 
     @property

@@ -174,8 +174,7 @@ class Clustered(Signal):
         wanted = sum(int(counts[some.long()].sum()) for some in label.split(1 << 20))
         if wanted != len(self.weights):
             raise InputError(
-                f"weights of the transfer are {len(self.weights)}, but its receivers have {wanted}: "
-                "compress it again"
+                f"weights of the transfer are {len(self.weights)}, but its receivers have {wanted}: compress it again"
             )
 
     def _mapped(self, change: Callable[[Tensor], Tensor]) -> Clustered:
