@@ -52,7 +52,9 @@ def sample() -> Iterator[Table]:
                 extra = {"CPU s": f"{time.process_time() - start:.1f}"}
                 extra |= {"receivers a cluster": f"{share * transfer.vertices / options['clusters']:.0f}"}
                 extra |= {"squared error / all": f"{(some.compression_error / whole.compression_error) ** 2:.3f}"}
-                table.add(f"  1 / {1 / share:.0f} of them", error=some.compression_error, bytes=some.bytes, extra=extra)
+                table.add(
+                    f"{name}; 1 / {1 / share:.0f} of them", error=some.compression_error, bytes=some.bytes, extra=extra
+                )
         yield table
 
 

@@ -88,7 +88,7 @@ def compress(
     for size, value in (("clusters", clusters), ("components", components), ("shared", shared)):
         if value is not None and not (error is None and bytes is None):
             raise InputError(f"{size} is given, but is what is sought for an error or a number of bytes: leave it out")
-    sampled = is_sampled(whole, sample, coherence)
+    sampled = is_sampled(whole, sample, float(coherence))
     options: dict[str, Any] = {
         "method": method,
         "bits": bits,
@@ -100,10 +100,7 @@ def compress(
     tensors = [whole.values, *([] if importance is None else [importance])]
     with Checkpoint(checkpoint, tensors, options | sizes | {"version": VERSION}, keep=keep) as store:
         options |= {"importance": importance, "passes": Passes(report or Silent(), store)}
-        if sampled:
-            make = partial(encode_sampled, whole)
-        else:
-            make = partial(encode, whole, faces_between(transfer, chosen))
+        make = partial(encode_sampled, whole) if sampled else partial(encode, whole, faces_between(transfer, chosen))
         if error is not None or bytes is not None:
             # Bytes and errors that are given and told are of all layers.
             kept = transfer.bytes - chosen.signal.bytes

@@ -259,8 +259,15 @@ class _Found:
     def signal(self, **tensors: Any) -> Clustered:
         """Of receivers with these labels, weights and errors."""
         none = self.mean.new_zeros(0, dtype=torch.float32)
-        ranges = {name: getattr(self, name)[self.kept] if self.bits == 8 else none for name in ("low", "step")}
-        parts = {"mean": self.mean, "basis": self.basis, "shared": self.shared, "offsets": self.offsets.int()}
+        ranges: dict[str, Any] = {
+            name: getattr(self, name)[self.kept] if self.bits == 8 else none for name in ("low", "step")
+        }
+        parts: dict[str, Any] = {
+            "mean": self.mean,
+            "basis": self.basis,
+            "shared": self.shared,
+            "offsets": self.offsets.int(),
+        }
         return Clustered(**tensors, **parts, **ranges)
 
 
@@ -350,8 +357,8 @@ class _Streamed:
                 error, power = error + float(made.sum()), power + of_block
         assert weights is not None
         relative = math.sqrt(error / power) if power > 0 else 0.0
-        made = found.signal(label=label, weights=weights, squared_error=squared)
-        return made.replace(method=method, compression_error=relative)
+        whole = found.signal(label=label, weights=weights, squared_error=squared)
+        return whole.replace(method=method, compression_error=relative)
 
     def _refitted(self, found: _Found, advance: Advance) -> _Found:
         """What was found, with means and axes of all receivers that it is nearest to."""
