@@ -74,8 +74,9 @@ def compress(
     The signal of the result states what it cost: `squared_error` of every receiver and `compression_error`, relative
     RMS.
 
-    Raises InputError as `clustered_pca`, if the sample holds fewer receivers than clusters, the layer has no receivers, is compressed already or is none, if sizes are
-    given in more than one way, or if an error or a number of bytes cannot be met, with the best that can.
+    Raises InputError as `clustered_pca`, if the sample holds fewer receivers than clusters, the layer has no receivers,
+    is compressed already or is none, if sizes are given in more than one way, or if an error or a number of bytes
+    cannot be met, with the best that can.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3.3, 4 and 5; the search is future work there.
     """
     name, chosen, whole = layer_to_compress(transfer, layer)
