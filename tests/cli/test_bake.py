@@ -124,6 +124,22 @@ def test_half_stores_half_the_bytes_and_shades_nearly_the_same(done, shaded, cor
     assert shaded(folder / "lamp.exr", transfer=path.with_suffix(".safetensors")).dtype == np.float32
 
 
+def test_in_parts_is_the_same_file(done, corner, refused, monkeypatch, tmp_path):
+    path, _ = corner
+    bake, out = ["bake", path, "--rays", 16, "--bounces", 1, "--half"], tmp_path / "parts.safetensors"
+    whole = tmp_path / "whole.safetensors"
+    assert "written part by part" not in done(*bake, "-o", whole)
+    done(*bake, "-o", out, "--in-parts", "--sample-points", 8)
+    assert load(out).receivers.sampled()[0].shape == (8, 3)
+    assert not list(tmp_path.glob("*.partial"))
+    monkeypatch.setattr("torchprt.memory.available", lambda: 1000)
+    assert "0.0 GB of memory are free: written part by part" in done(*bake, "-o", out)
+    assert out.read_bytes() == whole.read_bytes()
+    assert "written part by part" not in done(*bake, "-o", out, "--whole")
+    plan = tmp_path / "plan.toml"
+    refused("--in-parts is given", arguments=["bake", path, "-o", out, "--plan", plan, "--in-parts"])
+
+
 def test_seed_and_threads_do_what_they_say(done, corner):
     path, _ = corner
     first, again, other = (

@@ -38,6 +38,7 @@ WRITES: dict[str, list[tuple[str, list[str]]]] = {
         ("a.safetensors", ["ball.ply", "--rays", "16", "--threads", "1"]),
         ("b.safetensors", ["ball.ply", "--rays", "16", "--threads", "2", "--bounces", "1", "--half"]),
         ("c.safetensors", ["ball.ply", "--unshadowed"]),
+        ("d.safetensors", ["ball.ply", "--rays", "16", "--threads", "1", "--bounces", "1", "--in-parts"]),
     ],
     "shade": [
         *((f"a{suffix}", [BALL, *LAMP]) for suffix in (".npy", ".ply", ".glb")),

@@ -249,12 +249,12 @@ def test_refuses_values_that_are_not_finite_and_keeps_the_old_file(make_transfer
 
 
 def test_a_failure_while_writing_leaves_the_old_file_alone(make_transfer, written, monkeypatch):
-    def half(contents, path, metadata):
-        path.write_bytes(b"half")
+    def half(file, entries, metadata):
+        file.write(b"half")
         raise OSError("disk full")
 
     before = written.read_bytes()
-    monkeypatch.setattr("torchprt.transfer.file.save_file", half)
+    monkeypatch.setattr("torchprt.transfer.file.write_pieces", half)
     with pytest.raises(InputError, match="disk full"):
         save(make_transfer(seed=1), written)
     assert written.read_bytes() == before

@@ -115,7 +115,7 @@ def test_a_place_that_is_no_file_is_refused_before_anything(tmp_path):
 def test_bodies_are_refused(tmp_path):
     corners = torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     mesh = make_mesh(corners, torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
-    scene = Scene([Object(mesh, Material(0.5, subsurface="marble", millimetres=100))])
+    scene = Scene([Object(mesh, Material(0.5, subsurface="marble", millimetres=0.5))])
     with pytest.raises(InputError, match="diffuses in a body comes from all of it"):
         bake(scene, out=tmp_path / "a.safetensors", progress=False)
     assert not list(tmp_path.iterdir())
@@ -179,23 +179,23 @@ def test_what_is_made_of_it_is_written(tmp_path):
 
 
 def test_tables_take_their_room_when_they_are_made(tmp_path):
-    table = Mapped(tmp_path).empty(100, 7)
+    table = Mapped(tmp_path / "a.safetensors").empty(100, 7)
     table.zero_()
     assert table.is_contiguous()
     assert not any_of(table)
     table[99, 6] = 1
     assert any_of(table)
-    assert torch.equal(in_channels(table, 3, Mapped(tmp_path)), table.repeat(1, 3))
+    assert torch.equal(in_channels(table, 3, Mapped(tmp_path / "a.safetensors")), table.repeat(1, 3))
     assert in_channels(table, 1, InMemory()) is table
-    assert Mapped(tmp_path).empty(0, 7).shape == (0, 7)
+    assert Mapped(tmp_path / "a.safetensors").empty(0, 7).shape == (0, 7)
     assert everything(tmp_path) == {}
-    with room_for(1000), pytest.raises(CannotWrite, match="free some space"):
-        Mapped(tmp_path).empty(100, 7)
+    with room_for(1000), pytest.raises(CannotWrite, match=r"a\.safetensors cannot be written .*: free some space"):
+        Mapped(tmp_path / "a.safetensors").empty(100, 7)
 
 
 def test_tables_without_a_call_of_the_system_are_filled_with_zeros(tmp_path, monkeypatch):
     monkeypatch.delattr(os, "posix_fallocate", raising=False)
-    assert not any_of(Mapped(tmp_path).empty(1000, 7))
+    assert not any_of(Mapped(tmp_path / "a.safetensors").empty(1000, 7))
 
 
 class Allocations(TorchDispatchMode):

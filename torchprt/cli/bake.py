@@ -50,6 +50,7 @@ def bake(
     threads: bake_options.CPUs = None,
     sample_points: bake_options.SamplePoints = None,
     sample_gradients: bake_options.SampleGradients = False,
+    in_parts: bake_options.InParts = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
     frame: Annotated[
         str, typer.Option(help="Gloss: exit (baked in), incident (chosen later) or visibility (the least memory).")
@@ -81,6 +82,7 @@ def bake(
     if plan is not None:
         given = {"order": order, "rays": rays, "bounces": bounces, "unshadowed": unshadowed, "half": half}
         given |= {"output-order": output_order, "visibility-order": visibility_order, "factors": factors}
+        given |= {"in-parts": in_parts}
         given |= {"frame": frame != "exit", "projection": projection != "optimal"}
         for name, value in given.items():
             if value not in (None, False):
@@ -110,6 +112,7 @@ def bake(
         output,
         half=half,
         store=located,
+        in_parts=in_parts,
         order=order or bake_options.ORDER,
         rays=rays or bake_options.RAYS,
         bounces=count,

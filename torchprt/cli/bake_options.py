@@ -129,6 +129,15 @@ OutputOrder = Annotated[
         show_default="as --order",
     ),
 ]
+InParts = Annotated[
+    bool | None,
+    typer.Option(
+        "--in-parts/--whole",
+        rich_help_panel=BAKE,
+        help="Write the result part by part, never whole in memory; the same file.",
+        show_default="in parts if it would take half of the free memory",
+    ),
+]
 Keep = Annotated[
     Path | None,
     typer.Option("--bake", rich_help_panel=BAKE, help="Keep what is baked on the way in this .safetensors."),
@@ -340,15 +349,41 @@ def baked(
     *,
     half: bool = False,
     store: Callable[[Transfer], Transfer] | None = None,
+    in_parts: bool | None = False,
     **arguments: Any,
 ) -> Transfer:
-    """The bake of a scene, `kept` in `output`."""
-    from torchprt.transport import bake
+    """The bake of a scene, `kept` in `output`; `in_parts`: written part by part, None for if it is large."""
+    from torchprt.transport import Output, bake
+
+    parts = output is not None and (_is_large(scene, arguments) if in_parts is None else in_parts)
 
     def make(folder: Path | None) -> Transfer:
-        return bake(scene, checkpoint=folder, keep=True, **arguments)
+        if output is None or not parts:
+            return bake(scene, checkpoint=folder, keep=True, **arguments)
+        import torch
 
-    return kept(output, make, half=half, store=store, partly=arguments.get("shadows", True))
+        out = Output(output, dtype=torch.float16 if half else None, then=store)
+        return bake(scene, checkpoint=folder, keep=True, out=out, **arguments)
+
+    return kept(output, make, half=half, store=store, partly=arguments.get("shadows", True), written=parts)
+
+
+# The share of free memory that a bake may hold of its result before that is written part by part.
+SHARE = 0.5
+
+
+def _is_large(scene: Scene, arguments: dict[str, Any]) -> bool:
+    """Whether a bake would hold much of the memory that is free, and can do without."""
+    from torchprt.memory import available
+    from torchprt.transport.bake import bytes_held
+
+    asked = {name: arguments.get(name) for name in ("output_order", "lightmap")}
+    held = bytes_held(scene, order=arguments["order"], bounces=arguments["bounces"], **asked)
+    free = available()
+    if free is None or held <= SHARE * free or any(each.material.medium is not None for each in scene.objects):
+        return False
+    say(f"about {held / 2**30:.1f} GB to hold, {free / 2**30:.1f} GB of memory are free: written part by part")
+    return True
 
 
 def kept(
@@ -358,10 +393,12 @@ def kept(
     half: bool = False,
     store: Callable[[Transfer], Transfer] | None = None,
     partly: bool = True,
+    written: bool = False,
 ) -> Transfer:
     """What a bake makes, told of; kept in `output`, if there is one, and on the way there in a folder beside it.
 
-    `store`: what is made of it before it is kept. `partly`: whether it can be kept on the way.
+    `store`: what is made of it before it is kept. `partly`: whether it can be kept on the way. `written`: whether it
+    is in `output` already when it is made.
     """
     import torch
 
@@ -371,11 +408,11 @@ def kept(
     start = time.perf_counter()
     try:
         transfer = make(folder)
-        if half:
+        if half and not written:
             transfer = transfer.to(torch.float16)
-        if store is not None:
+        if store is not None and not written:
             transfer = store(transfer)
-        if output is not None:
+        if output is not None and not written:
             save(transfer, output)
     except KeyboardInterrupt:
         left = ""

@@ -143,7 +143,7 @@ def bake(
     """
     check_numbers(order, rays, bounces, shadows, seed, threads, runner)
     output = output_of(out)
-    tables: Tables = InMemory() if output is None else Mapped(output.folder)
+    tables: Tables = InMemory() if output is None else Mapped(Path(output.path))
     geometry = scene.geometry()
     texels: Lightmapped | None = None
     if lightmap is not None:
@@ -233,6 +233,15 @@ def numbers(scene: Scene, order: int, bounces: Bounces, output_order: int | None
     needed = scene.requires(0 if bounces == 0 else math.inf)
     count = needed.channels * order**2 * (1 if bounces == 0 else 4)
     return count * (1 + (output_order or order) ** 2) if needed.kind == "glossy" else count
+
+
+def bytes_held(
+    scene: Scene, *, order: int, bounces: Bounces, output_order: int | None = None, lightmap: Lightmap | None = None
+) -> int:
+    """Bytes that a bake without `out` holds of what grows with receivers times coefficients, at most."""
+    sides = [len(each.two_sided) + int(each.two_sided.sum()) for each in scene.objects if each.receives]
+    receivers = sum(sides) if lightmap is None else lightmap.rows * lightmap.columns
+    return 4 * receivers * numbers(scene, order, bounces, output_order)
 
 
 def _diffuse(job: Job, geometry: Geometry, points: Geometry | None, bounces: int | float, stages: Stages) -> Transfer:

@@ -30,11 +30,6 @@ class Output:
         check_writable(self.path, (".safetensors",))
 
     @property
-    def folder(self) -> Path:
-        """Where it will stand, and what is needed on the way there."""
-        return Path(self.path).absolute().parent
-
-    @property
     def partial(self) -> Path:
         """The folder that keeps finished chunks, unless another is named."""
         path = Path(self.path)
@@ -43,7 +38,8 @@ class Output:
     def written(self, transfer: Transfer) -> Transfer:
         """The transfer as it is in the file, whose tensors are maps of it."""
         save(transfer if self.then is None else self.then(transfer), self.path, dtype=self.dtype)
-        return load(self.path, mapped=True)
+        # What was checked as it was written need not be read for that again.
+        return load(self.path, mapped=True, numbers=False)
 
 
 def output_of(out: str | os.PathLike[str] | Output | None) -> Output | None:

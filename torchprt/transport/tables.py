@@ -47,20 +47,21 @@ class InMemory:
 
 @dataclass(frozen=True)
 class Mapped:
-    """Tables in files of `folder` that have no name: they are gone when their tensor is, or the process.
+    """Tables in files without a name beside the `result` that they are for: they are gone when their tensor is, or the
+    process.
 
     Their room is taken when they are made: a page that found no room later would end the process.
-    Raises CannotWrite if there is none.
+    Raises CannotWrite, of the result, if there is none.
     """
 
-    folder: Path
+    result: Path
 
     def empty(self, *shape: int) -> Tensor:
         """As `Tables.empty`."""
         size = 4 * math.prod(shape)
         if not size:
             return torch.empty(shape)
-        with sentences(self.folder), tempfile.TemporaryFile(dir=self.folder) as file:
+        with sentences(self.result), tempfile.TemporaryFile(dir=self.result.absolute().parent) as file:
             _allocate(file, size)
             # The map keeps the file when it is closed.
             return torch.from_numpy(np.memmap(file, np.float32, "r+", shape=shape))
