@@ -54,6 +54,8 @@ def test_compresses_tells_what_it_cost_and_shades_the_same(done, folder, tmp_pat
         (["--coherence=-5%"], "--coherence"),
         (["--importance", "nothing.npy"], "nothing.npy"),
         (["--superclusters", "2", "--clusters", "100000"], "clusters"),
+        (["--sample", "9", "--clusters", "10"], "give a larger sample"),
+        (["--sample", "50", "--clusters", "5", "--coherence", "5%"], "leave it out"),
     ],
 )
 def test_refuses_a_size_that_cannot_be_and_writes_nothing(run, folder, tmp_path, options, word):
@@ -71,7 +73,7 @@ def test_refuses_a_size_that_cannot_be_and_writes_nothing(run, folder, tmp_path,
         ["--bytes", "6K"],
         ["--clusters", "6", "--shared", "9", "--bits", "16"],
         ["--clusters", "6", "--coherence", "5%", "--superclusters", "3"],
-        ["--clusters", "6", "--importance", "natural"],
+        ["--clusters", "6", "--importance", "natural", "--sample", "60"],
     ],
     ids=" ".join,
 )

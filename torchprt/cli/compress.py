@@ -53,6 +53,12 @@ def compress(
         str | None,
         typer.Option(help="What light to expect: natural, or .npy, images and built-in lights.", show_default="any"),
     ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Find clusters from so many receivers, as for large files.", show_default="all that fit"
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the clusters to start from.")] = 0,
 ) -> None:
     """Compress a bake by clustered PCA: a few weights a vertex instead of its vector or matrix.
@@ -91,6 +97,7 @@ def compress(
                 report=told,
                 checkpoint=partial,
                 keep=True,
+                sample=sample,
             )
             told.end()
         if superclusters is not None:

@@ -9,6 +9,7 @@ from .expected_light import light_importance, natural_light_importance
 from .lobes import Lobes, fit_lobes
 from .quantise import QuantisedPca, quantise
 from .reorder import reorder
+from .sampled import SampledWarning
 from .single_lobe import linear_axis, lobe_coefficients
 from .superclusters import cluster_order, superclusters
 from .transfer import decompress
@@ -18,6 +19,7 @@ __all__ = [
     "ClusteredPca",
     "Lobes",
     "QuantisedPca",
+    "SampledWarning",
     "cluster_order",
     "clustered_pca",
     "compress",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -31,18 +33,35 @@ def check(data: Tensor, clusters: int, iterations: int) -> None:
         raise InputError(f"data holds a number that is not finite, first in row {row}: mend the transfer it is from")
 
 
-def normalised(data: Tensor) -> Tensor:
-    """`[V, D]`: `data` that was checked, less its mean, of unit size; D = S, or the principal axes if S is larger."""
+@dataclass(frozen=True)
+class Normal:
+    """How points become those that clusters are sought among: less `centre [S]`, over `size`, in `axes [S, D]`."""
+
+    centre: Tensor
+    size: float
+    axes: Tensor | None
+
+    def of(self, data: Tensor) -> Tensor:
+        """`[V, D]`, of the dtype of `data`: a row of each point, whichever others there are."""
+        points = data.new_empty(len(data), data.shape[1] if self.axes is None else self.axes.shape[1])
+        for some, out in zip(data.split(_STEP), points.split(_STEP), strict=True):
+            centred = (some.double() - self.centre) / self.size
+            out.copy_(centred if self.axes is None else (centred.to(data.dtype) @ self.axes))
+        return points
+
+
+def normal_of(data: Tensor) -> Normal:
+    """That with which `data` has mean 0 and unit size, in its principal axes if S is large."""
     centre = sum((some.double().sum(0) for some in data.split(_STEP)), start=data.new_zeros((), dtype=torch.float64))
     centre = centre / len(data)
     # Squares of numbers of any size must neither vanish nor overflow.
     size = max(float((some.double() - centre).abs().amax()) for some in data.split(_STEP)) or 1.0
-    axes = _principal_axes(data, centre, size) if data.shape[1] > DIMENSIONS else None
-    points = data.new_empty(len(data), data.shape[1] if axes is None else axes.shape[1])
-    for some, out in zip(data.split(_STEP), points.split(_STEP), strict=True):
-        centred = (some.double() - centre) / size
-        out.copy_(centred if axes is None else (centred.to(data.dtype) @ axes))
-    return points
+    return Normal(centre, size, _principal_axes(data, centre, size) if data.shape[1] > DIMENSIONS else None)
+
+
+def normalised(data: Tensor) -> Tensor:
+    """`[V, D]`: `data` that was checked, less its mean, of unit size; D = S, or the principal axes if S is larger."""
+    return normal_of(data).of(data)
 
 
 def _principal_axes(data: Tensor, centre: Tensor, size: float) -> Tensor:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from jaxtyping import Int
 from torch import Tensor
 
 from torchprt.compression.checkpoint import Checkpoint
 from torchprt.compression.resumable_passes import Passes
+from torchprt.compression.sampled import encode_sampled, enough, is_sampled, sample_of
 from torchprt.compression.search import Sizes, candidates, corrected
 from torchprt.compression.transfer import Method, encode, faces_between, layer_to_compress, numbers_of
 from torchprt.errors import InputError
@@ -17,6 +19,8 @@ from torchprt.progress import Report, Silent
 from torchprt.transfer import Clustered, Dense, Transfer
 from torchprt.version import VERSION
 
+# Of clusters, components and options, the clustered signal.
+Make = Callable[..., Clustered]
 # Encodings until an error is met: each corrects what the next is expected to have.
 _TRIES = 5
 # Of the error that is asked for: as much is near enough.
@@ -41,6 +45,7 @@ def compress(
     report: Report | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
+    sample: int | None = None,
 ) -> Transfer:
     """Clustered PCA of what a bake stores of a layer: vectors, matrices or visibility, by `clustered_pca`.
 
@@ -60,11 +65,18 @@ def compress(
       stated are not weighed by it.
     - `report`, `checkpoint`: as for `clustered_pca`; the search for an error or a number of bytes goes on too. The file
       is removed when done unless it is to `keep` it (until the result is safe on disk, say).
+    - `sample`: find clusters from so many receivers, drawn evenly over all. In passes over all receivers, some at a
+      time, means and PCA vectors are then fitted to all of them, each goes to the cluster that is nearest to it,
+      whatever the method, and gets its best weights. So a transfer that `load` mapped need not fit into memory: what
+      stands there is the sample and what is stored of a receiver. By itself, with a `SampledWarning`, where all
+      receivers do not fit: 512 a cluster, and 65536 at least. The same seed and sample are the same bits; errors are
+      those of all receivers. `coherence` takes all of them.
     The signal of the result states what it cost: `squared_error` of every receiver and `compression_error`, relative
     RMS.
 
-    Raises InputError as `clustered_pca`, if the layer has no receivers, is compressed already or is none, if sizes are
-    given in more than one way, or if an error or a number of bytes cannot be met, with the best that can.
+    Raises InputError as `clustered_pca`, if the sample holds fewer receivers than clusters, the layer has no receivers,
+    is compressed already or is none, if sizes are given in more than one way, or if an error or a number of bytes
+    cannot be met, with the best that can.
     Source: Sloan, Hall, Hart and Snyder 2003, sections 3.3, 4 and 5; the search is future work there.
     """
     name, chosen, whole = layer_to_compress(transfer, layer)
@@ -77,26 +89,27 @@ def compress(
     for size, value in (("clusters", clusters), ("components", components), ("shared", shared)):
         if value is not None and not (error is None and bytes is None):
             raise InputError(f"{size} is given, but is what is sought for an error or a number of bytes: leave it out")
+    sampled = is_sampled(whole, sample, float(coherence))
     options: dict[str, Any] = {
         "method": method,
         "bits": bits,
-        "coherence": float(coherence),
         "iterations": iterations,
         "seed": seed,
     }
+    options |= {"sample": sample} if sampled else {"coherence": float(coherence)}
     sizes = {"clusters": clusters, "components": components, "shared": shared, "error": error, "bytes": bytes}
     tensors = [whole.values, *([] if importance is None else [importance])]
     with Checkpoint(checkpoint, tensors, options | sizes | {"version": VERSION}, keep=keep) as store:
         options |= {"importance": importance, "passes": Passes(report or Silent(), store)}
-        faces = faces_between(transfer, chosen)
+        make = partial(encode_sampled, whole) if sampled else partial(encode, whole, faces_between(transfer, chosen))
         if error is not None or bytes is not None:
             # Bytes and errors that are given and told are of all layers.
             kept = transfer.bytes - chosen.signal.bytes
-            made = _sought(whole, faces, kept, error, bytes, options)
+            made = _sought(whole, make, kept, error, bytes, options)
         else:
             clusters = (1 if method == "pca" else 256) if clusters is None else clusters
             components = (0 if method == "vq" else 8) if components is None else components
-            made = encode(whole, faces, clusters, components, shared=shared or 0, **options)
+            made = make(clusters, components, shared=shared or 0, **options)
     return transfer.with_layers(**{name: chosen.replace(signal=made)})
 
 
@@ -122,7 +135,7 @@ def foretell(
 
 def _sought(
     dense: Dense,
-    faces: Int[Tensor, "F 3"],
+    make: Make,
     kept: int,
     error: float | None,
     bytes: int | None,
@@ -132,16 +145,20 @@ def _sought(
     needed = {name: options[name] for name in ("method", "bits", "seed", "importance", "passes")}
     # An error is seldom worth half of the bytes.
     limit = dense.bytes // 2 if bytes is None else bytes - kept
-    sizes = candidates(numbers_of(dense), limit, error=error, **needed)
+    receivers = dense.shape[0]
+    if "sample" in options:
+        # Sizes are tried on a part of it.
+        signal = sample_of(dense, min(receivers, options["sample"] or enough(0)), options["seed"])
+    else:
+        signal = numbers_of(dense)
+    sizes = candidates(signal, limit, error=error, points=receivers, **needed)
     if bytes is not None:
-        return _within(dense, faces, sizes, bytes, kept, options)
+        return _within(dense, make, sizes, bytes, kept, options)
     assert error is not None
-    return _to(dense, faces, sizes, float(error), options)
+    return _to(dense, make, sizes, float(error), options)
 
 
-def _within(
-    dense: Dense, faces: Tensor, sizes: list[Sizes], bytes: int, kept: int, options: dict[str, Any]
-) -> Clustered:
+def _within(dense: Dense, make: Make, sizes: list[Sizes], bytes: int, kept: int, options: dict[str, Any]) -> Clustered:
     """Of all `sizes` of at most so many bytes the one expected to have the least error."""
     limit = bytes - kept
     while True:
@@ -153,14 +170,14 @@ def _within(
                 f"{fewest} or more, or fewer bits"
             )
         best = min(fitting, key=lambda size: (size.error, size.bytes))
-        made = encode(dense, faces, best.clusters, best.components, shared=best.shared, **options)
+        made = make(best.clusters, best.components, shared=best.shared, **options)
         if made.bytes + kept <= bytes:
             return made
         # Adaptive clusters have more PCA vectors than the mean: those of few points are cheap in weights.
         limit -= max(made.bytes + kept - bytes, limit // 50 + 1)
 
 
-def _to(dense: Dense, faces: Tensor, sizes: list[Sizes], error: float, options: dict[str, Any]) -> Clustered:
+def _to(dense: Dense, make: Make, sizes: list[Sizes], error: float, options: dict[str, Any]) -> Clustered:
     """Of all `sizes` that have at most `error` the one with the fewest bytes, all below those of `dense`."""
     if not error > 0:
         raise InputError(f"error is {error}: it must be above 0, as 0.01 for 1 % (relative RMS)")
@@ -184,7 +201,7 @@ def _to(dense: Dense, faces: Tensor, sizes: list[Sizes], error: float, options: 
         if not fitting:
             break
         k = min(fitting, key=lambda k: sizes[k].bytes)
-        made = encode(dense, faces, sizes[k].clusters, sizes[k].components, shared=sizes[k].shared, **options)
+        made = make(sizes[k].clusters, sizes[k].components, shared=sizes[k].shared, **options)
         reached = made.compression_error or 0.0
         tried[sizes[k]] = reached
         if reached <= error and (found is None or made.bytes < found.bytes):

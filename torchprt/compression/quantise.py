@@ -77,16 +77,13 @@ def quantise(
         raise InputError(f"bits is {bits}: weights are stored in 8 or 16")
     check(data, 1, 1)
     packed.check_data(data)
-    for name, value in (("mean", packed.mean), ("weights", packed.weights), ("basis", packed.basis)):
-        most = float(value.abs().amax()) if value.numel() else 0.0
-        if most > _LARGEST or 0 < most < _SMALLEST:
-            raise InputError(f"{name} of packed reaches {most:.3g}, which float16 does not hold: scale the data")
+    check_half(packed)
     with torch.no_grad(), one_thread():
         root = None if importance is None else root_of(importance, data)
         stored = ClusteredPca(
             packed.label, packed.mean.half(), packed.basis.half(), packed.offsets, packed.weights, packed.error
         )
-        weights = _weights(data, stored, root)
+        weights = best_weights(data, stored, root)
         code, low, step = _rounded(weights, packed, bits)
         quantised = QuantisedPca(
             packed.label, stored.mean, stored.basis, packed.offsets, code, low, step, torch.zeros_like(packed.error)
@@ -99,7 +96,15 @@ def quantise(
         return quantised
 
 
-def _weights(data: Tensor, stored: ClusteredPca, root: Tensor | None) -> Tensor:
+def check_half(packed: ClusteredPca) -> None:
+    """InputError if float16 does not hold it."""
+    for name, value in (("mean", packed.mean), ("weights", packed.weights), ("basis", packed.basis)):
+        most = float(value.abs().amax()) if value.numel() else 0.0
+        if most > _LARGEST or 0 < most < _SMALLEST:
+            raise InputError(f"{name} of packed reaches {most:.3g}, which float16 does not hold: scale the data")
+
+
+def best_weights(data: Tensor, stored: ClusteredPca, root: Tensor | None) -> Tensor:
     """Least-squares weights `[V, P]` float64 for representatives that are no longer orthonormal."""
     basis, mean = stored.padded_basis().double(), stored.mean.double()
     measure = basis if root is None else basis @ root @ root.mT
@@ -126,7 +131,17 @@ def _rounded(weights: Tensor, packed: ClusteredPca, bits: int) -> tuple[Tensor, 
     bound = weights.new_zeros(clusters, rows)
     least = bound.scatter_reduce(0, of, weights, "amin", include_self=False)
     most = bound.scatter_reduce(0, of, weights, "amax", include_self=False)
+    low, step = range_of(least, most)
+    return counted(weights, packed.label, low, step), low[kept], step[kept]
+
+
+def range_of(least: Tensor, most: Tensor) -> tuple[Tensor, Tensor]:
+    """What codes count from and by, `[K, P]` float32, for weights between these, float64."""
     low = least.float()
-    step = ((most - low) / _LEVELS).float()
-    counted = (weights - low[packed.label]) / step[packed.label].clamp(min=torch.finfo(torch.float32).tiny)
-    return counted.round().clamp(0, _LEVELS).to(torch.uint8), low[kept], step[kept]
+    return low, ((most - low) / _LEVELS).float()
+
+
+def counted(weights: Tensor, label: Tensor, low: Tensor, step: Tensor) -> Tensor:
+    """Codes `[V, P]` of weights, by the ranges `[K, P]`."""
+    levels = (weights - low[label]) / step[label].clamp(min=torch.finfo(torch.float32).tiny)
+    return levels.round().clamp(0, _LEVELS).to(torch.uint8)

@@ -29,6 +29,12 @@ def shared_axes(data: Tensor, count: int, importance: Tensor | None = None) -> t
     weighed ones of points. Found in float64, in the dtype of `data`.
     Raises InputError if there are more axes than numbers a point.
     """
+    axes, into = axes_of(data, count, importance)
+    return axes, coordinates_of(data, into)
+
+
+def axes_of(data: Tensor, count: int, importance: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Axes `[Q, S]` as `shared_axes` has them, and `into [S, Q]` float64 with `data @ into` the coordinates."""
     if not 1 <= count <= data.shape[1]:
         raise InputError(f"shared is {count}, but a point has {data.shape[1]} numbers: ask for 1 to so many axes")
     root = None if importance is None else root_of(importance, data)
@@ -36,8 +42,13 @@ def shared_axes(data: Tensor, count: int, importance: Tensor | None = None) -> t
     vectors = vectors.flip(1)[:, :count]
     into = vectors if root is None else root @ vectors
     axes = vectors.mT if root is None else torch.linalg.solve(root, vectors.mT, left=False)
-    coordinates = data.new_empty(len(data), count)
+    return axes.to(data.dtype), into
+
+
+def coordinates_of(data: Tensor, into: Tensor) -> Tensor:
+    """`data @ into`, `[V, Q]` of the dtype of `data`."""
+    coordinates = data.new_empty(len(data), into.shape[1])
     with one_thread():
         for some, out in zip(data.split(_STEP), coordinates.split(_STEP), strict=True):
             out.copy_(some.double() @ into)
-    return axes.to(data.dtype), coordinates
+    return coordinates
