@@ -1,7 +1,7 @@
 """Rows of three numbers as three columns, in blocks that a cache holds.
 
-numpy takes sums and maxima along rows of three an element at a time, and writes whole temporaries of millions of rows to
-memory: by columns and in blocks the same sums are four times quicker.
+numpy takes sums and maxima along rows of three an element at a time, and writes whole temporaries of millions of rows
+to memory: by columns and in blocks the same sums are four times quicker.
 """
 
 from collections.abc import Iterator
