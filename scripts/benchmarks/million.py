@@ -3,7 +3,7 @@
     python scripts/benchmarks/million.py [VERTICES [RAYS [BOUNCES]]]     1000000 1024 2 if nothing is given
 
 The ground of `memory.py` is written as .ply, read, baked at order 5 and saved. Memory is that of the process, looked at
-ten times a second: "anonymous" is what the process asked for itself, "all" counts the mapped files that lie in memory too.
+ten times a second: "anonymous" is what the process asked for itself, "all" counts mapped files in memory too.
 """
 
 import sys

@@ -2,14 +2,14 @@
 
     python scripts/benchmarks/prt_util.py
 
-The script that came with PIFu (Saito et al. 2019), told here in our own words: uniform random directions over the whole
-sphere, one set for all vertices; every vertex asks trimesh (with embreex below it) whether each of them is blocked, also
-those below its horizon; a coefficient is the mean of what is seen times the cosine times the harmonics of scipy.
+The script that came with PIFu (Saito et al. 2019), told here in our own words: uniform random directions over the
+whole sphere, one set for all vertices; every vertex asks trimesh (with embreex below it) whether each of them is
+blocked, also those below its horizon; a coefficient is the mean of what is seen times cosine and scipy's harmonics.
 
 Errors are RMS relative to the transfer, at a sample of the vertices, against a bake with many rays. That of the script
 falls with the root of its directions: how many it would need for the error of a bake is extrapolated, and so is their
-time, from directions that were run. What its offset of a thousandth of the extent, and its lack of anything against
-receivers that cannot see, add to its error does not fall: only the part that falls is extrapolated, in favour of the script.
+time, from directions that were run. What its offset of a thousandth of the extent adds does not fall: only the part
+that falls is extrapolated, in favour of the script.
 """
 
 import math
@@ -83,7 +83,7 @@ def compare(scene: Scene, order: int) -> Table:
 
     def baked(rays: int, seed: int = 0) -> torch.Tensor:
         found = bake(scene, order=order, rays=rays, seed=seed, receivers=some, progress=False)
-        return found.layers["diffuse"].signal.values[0, 0].mT.double()
+        return found.layers["diffuse"].signal.values[0].mT.double()
 
     check = np.random.default_rng(1).normal(size=(50, 3))
     check /= np.linalg.norm(check, axis=1, keepdims=True)
