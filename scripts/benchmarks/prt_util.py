@@ -90,14 +90,10 @@ def compare(scene: Scene, order: int) -> Table:
     ours = basis(torch.from_numpy(check), order).mT.numpy()
     np.testing.assert_allclose(harmonics(check, order).T, ours, atol=1e-10)
     reference = baked(REFERENCE_RAYS, seed=1)
-    # The albedo of the scene and the convention of the file stand in the reference: one factor for all vertices.
     table = Table(f"order {order}: {len(points)} vertices, error at {SAMPLE} of them")
     squares: dict[int, float] = {}
     for side in SIDES:
-        found = [
-            torch.from_numpy(by_script(model, points[rows], normals[rows], side, order, s)) * scale(scene)
-            for s in range(SETS)
-        ]
+        found = [torch.from_numpy(by_script(model, points[rows], normals[rows], side, order, s)) for s in range(SETS)]
         squares[side] = sum(relative_rms(each, reference) ** 2 for each in found) / SETS
         table.add(f"prt_util, {side**2} directions", error=math.sqrt(squares[side]))
     few, many = SIDES[0], SIDES[-1]
@@ -127,11 +123,6 @@ def compare(scene: Scene, order: int) -> Table:
         f"order {order}: prt_util takes {wall:.3f} s a direction ({cpu:.3f} s CPU); {stays:.2%} of its error stays"
     )
     return table
-
-
-def scale(scene: Scene) -> float:
-    """What the script leaves out: the albedo of the surface."""
-    return float(torch.as_tensor(scene.geometry().albedo).mean())
 
 
 def run() -> None:

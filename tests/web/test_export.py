@@ -82,8 +82,8 @@ def test_refuses_what_it_cannot_show_and_leaves_nothing(make_transfer, tmp_path,
 
 
 def test_a_page_too_large_for_a_browser_is_refused_before_any_work(make_transfer, tmp_path, lamps, monkeypatch):
-    monkeypatch.setattr("torchprt.web.export.LARGEST", 64)
-    monkeypatch.setattr("torchprt.web.export.libraries", lambda: pytest.fail("work began"))
+    monkeypatch.setattr(EXPORT, "LARGEST", 64)
+    monkeypatch.setattr(EXPORT, "libraries", lambda: pytest.fail("work began"))
     with pytest.raises(InputError, match=r"unpacks to .* GB of weights, .*: compress the transfer"):
         export(make_transfer("diffuse"), tmp_path / "page", environments=lamps)
     assert not (tmp_path / "page").exists()

@@ -52,8 +52,9 @@ LOADED = (
     "ort.wasm.wasm.gz",
 )
 LARGEST = 2**30
-"""Bytes of weights in float32. ONNX Runtime's WebAssembly has 4 GB of addresses for the file, what is read from
-it, the weights unpacked and laid out again; a float32 page also stands in one array of JavaScript, which may end at 2 GB."""
+"""Bytes of weights in float32. ONNX Runtime's WebAssembly has 4 GB of addresses for the file, for what is read from
+it, and for the weights unpacked and laid out again; a float32 page also stands in one array of JavaScript, which may
+end at 2 GB."""
 
 
 @dataclass(frozen=True)
