@@ -85,7 +85,7 @@ def test_a_page_too_large_for_a_browser_is_refused_before_any_work(make_transfer
     monkeypatch.setattr(EXPORT, "LARGEST", 64)
     monkeypatch.setattr(EXPORT, "libraries", lambda: pytest.fail("work began"))
     with pytest.raises(InputError, match=r"unpacks to .* GB of weights, .*: compress the transfer"):
-        export(make_transfer("diffuse"), tmp_path / "page", environments=lamps)
+        export(make_transfer(), tmp_path / "page", environments=lamps)
     assert not (tmp_path / "page").exists()
 
 
