@@ -81,6 +81,14 @@ def test_refuses_what_it_cannot_show_and_leaves_nothing(make_transfer, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
+def test_a_page_too_large_for_a_browser_is_refused_before_any_work(make_transfer, tmp_path, lamps, monkeypatch):
+    monkeypatch.setattr(EXPORT, "LARGEST", 64)
+    monkeypatch.setattr(EXPORT, "libraries", lambda: pytest.fail("work began"))
+    with pytest.raises(InputError, match=r"unpacks to .* GB of weights, .*: compress the transfer"):
+        export(make_transfer(), tmp_path / "page", environments=lamps)
+    assert not (tmp_path / "page").exists()
+
+
 def test_incident_transfer_needs_its_material_first(tmp_path, untyped):
     incident = random_glossy("incident", order=3, output_order=3)
     with pytest.raises(InputError, match="with_material"):

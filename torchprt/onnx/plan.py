@@ -225,6 +225,11 @@ def _numbers(transfer: Transfer) -> int:
     return stored + sum(12 * layer.signal.shape[0] + 2 * transfer.vertices for layer in transfer.eye_layers.values())
 
 
+def weight_bytes(transfer: Transfer) -> int:
+    """Of the graph of a transfer, in float32."""
+    return 4 * _numbers(transfer)
+
+
 def check_weights(count: int, glossy: bool = False) -> None:
     total = 4 * count
     if total > LIMIT:

@@ -14,8 +14,10 @@ from torch import Tensor
 from torchprt.errors import InputError
 
 from .check import MeshReport, check
+from .columns import zero_rows
 from .normals import face_normals, unit, vertex_normals
 from .tangents import orthogonal, smooth_tangents, tangents_from_uv
+from .weld import join
 
 Array = np.ndarray | Tensor
 
@@ -100,18 +102,19 @@ def make_mesh(
     points = _numpy(positions, np.float64)
     triangles = _indices(faces, name)
     _refuse(points, triangles, name)
-    from_faces = vertex_normals(points, triangles)
+    joined = join(points, triangles)
+    from_faces = vertex_normals(points, triangles, joined)
     given = np.zeros_like(points) if normals is None else unit(_numpy(normals, np.float64))
     if given.shape != points.shape:
         raise InputError(f"{name} has {len(given)} normals for {len(points)} vertices: give one a vertex")
-    computed = np.all(given == 0, axis=1)
+    computed = zero_rows(given)
     final = np.where(computed[:, None], from_faces, given)
     linear = None if colours is None else torch.from_numpy(_numpy(colours, np.float32))
     if linear is not None and linear.shape != points.shape:
         raise InputError(f"{name} has {len(linear)} colours for {len(points)} vertices: give one a vertex")
     pairs = None if uv is None else _corner_uv(uv, points, triangles, name)
     directions = _tangents(points, triangles, final, pairs, tangents, name)
-    report = check(points, triangles, final, computed, from_faces)
+    report = check(points, triangles, final, computed, from_faces, joined)
     if directions is not None:
         report = replace(report, missing_tangents=int(np.all(directions == 0, axis=1).sum()))
     usable = directions is not None and directions.any()

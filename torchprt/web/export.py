@@ -18,6 +18,7 @@ from torch import Tensor
 from torchprt import onnx, preview
 from torchprt.errors import InputError
 from torchprt.files import atomic_folder, write
+from torchprt.onnx.plan import weight_bytes
 from torchprt.preview.encode import encoded
 from torchprt.preview.environment import Environment
 from torchprt.preview.modes import reflectance
@@ -50,6 +51,10 @@ LOADED = (
     "ort.wasm.bundle.min.mjs",
     "ort.wasm.wasm.gz",
 )
+LARGEST = 2**30
+"""Bytes of weights in float32. ONNX Runtime's WebAssembly has 4 GB of addresses for the file, for what is read from
+it, and for the weights unpacked and laid out again; a float32 page also stands in one array of JavaScript, which may
+end at 2 GB."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +150,9 @@ def export(
         _check_same(full, packed)
     if flight is not None:
         flight.check(full.order)
+    for each in (full, packed):
+        if each is not None:
+            _check_size(each)
     lights = samples(full.order) if environments is None else list(environments)
     if not lights:
         raise InputError("a page needs a light: give one environment or more")
@@ -267,6 +275,16 @@ def _check_folder(target: Path) -> None:
         raise InputError(f"{target} is a file: give the name of a folder for the page")
     if target.is_dir() and any(target.iterdir()) and not (target / "scene.json").is_file():
         raise InputError(f"{target} holds something that is no page of torchprt: give another folder")
+
+
+def _check_size(transfer: Transfer) -> None:
+    """Before any work: a browser that runs out of memory shows nothing, and does not say why."""
+    size = weight_bytes(transfer)
+    if size > LARGEST:
+        raise InputError(
+            f"a page of {transfer.vertices} receivers unpacks to {size / 2**30:.1f} GB of weights, and a browser holds "
+            f"{LARGEST / 2**30:g}: compress the transfer, lower its order or decimate the mesh"
+        )
 
 
 def _check_same(full: Transfer, packed: Transfer) -> None:
