@@ -111,21 +111,33 @@ class Cluster:
             self._sent.append((thing, known[0] if known else self._scatter(thing)))
         return [future for _, future in self._sent]
 
+    def wait(self) -> int:
+        """The threads of all workers; waits if there are none, but not for ever: then it raises InputError."""
+        end = time.monotonic() + ALONE
+        while not (threads := self.threads):
+            if not self.alive:
+                raise CancelledError("closed")
+            if time.monotonic() > end:
+                raise InputError(f"all workers of the cluster {self.name} went away: start some again; {_GO_ON}")
+            time.sleep(0.5)
+        return threads
+
     def _scatter(self, thing: object) -> Future:
         try:
-            # Not found out by Dask, whose words are many.
-            pickle.dumps(thing, pickle.HIGHEST_PROTOCOL) if not _flat(thing) else None
+            # Here, and not in Dask, whose words are many.
+            pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as fault:
             raise InputError(f"the scene cannot be sent to other machines ({fault}): bake with threads") from fault
-        fault_: Exception | None = None
-        for _ in range(_TRIES):
+        shared = Shared(thing)
+        for tries in itertools.count(1):
             try:
-                return self._client.scatter(Shared(thing), broadcast=True, hash=False)
-            except (OSError, TimeoutError, KeyError) as fault:
-                # A worker that died while it was sent; that all of them are gone is told by who waits.
-                fault_ = fault
-                self._client.wait_for_workers(1, timeout=ALONE)
-        raise InputError(f"the cluster {self.name} does not take what is sent ({fault_}): {_GO_ON}") from fault_
+                return self._client.scatter(shared, broadcast=True, hash=False)
+            except (OSError, TimeoutError, KeyError):
+                # A worker died meanwhile.
+                if tries == _TRIES or not self.alive:
+                    raise
+                self.wait()
+        raise AssertionError
 
     def _check_store(self, store: Results) -> None:
         """Raises InputError if a worker does not see the checkpoint that chunks go to."""
@@ -181,10 +193,6 @@ class Cluster:
     def wanted(self) -> dict[str, str]:
         """The versions that workers must have."""
         return self._wanted
-
-
-def _flat(thing: object) -> bool:
-    return thing is None or isinstance(thing, Tensor)
 
 
 class _Flight:
@@ -258,18 +266,8 @@ class _Flight:
         self._submit(task)
 
     def _count(self) -> None:
-        """How many tasks may be in flight; waits if there are no workers, but not for ever."""
-        start = time.monotonic()
-        while not (threads := self._cluster.threads):
-            if not self._cluster.alive:
-                raise CancelledError("closed")
-            if time.monotonic() - start > ALONE:
-                raise InputError(
-                    f"all workers of the cluster {self._cluster.name} went away: start some again; {_GO_ON}"
-                )
-            time.sleep(0.5)
         # Few in flight: the next of each thread, whose results must not pile up behind a slow consumer.
-        self._most, self._counted = 2 * threads, time.monotonic()
+        self._most, self._counted = 2 * self._cluster.wait(), time.monotonic()
 
     def _end(self) -> None:
         """Drops what waits, and lets what runs be finished and kept."""
@@ -327,16 +325,21 @@ def _local(count: int) -> Iterator[Client]:
     """A client of so many processes of this machine, with a thread each."""
     import logging
 
+    import dask
     from distributed import Client, LocalCluster
 
     with (
+        # It gives up what does not come back in so long, and loses what dies twice within it.
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "365 days"}),
         LocalCluster(
             n_workers=count,
             threads_per_worker=1,
-            dashboard_address=None,
+            # Not its usual port, where another cluster may be.
+            dashboard_address="127.0.0.1:0",
             # Not spilled to disk, nor ended: it is the user's memory.
             memory_limit=0,
-            silence_logs=logging.ERROR,
+            # Workers that die are started again, and what they lost is sent again.
+            silence_logs=logging.CRITICAL,
             preload=worker.__name__,
         ) as cluster,
         Client(cluster, set_as_default=False, direct_to_workers=True) as client,
