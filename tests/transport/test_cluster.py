@@ -24,7 +24,7 @@ OPTIONS = {"order": 2, "rays": 8, "bounces": 1, "progress": False}
 
 @pytest.fixture(scope="module")
 def scene():
-    return samples.organic(3000)
+    return samples.organic(8000)
 
 
 @pytest.fixture(scope="module")
