@@ -3,8 +3,8 @@
     python scripts/benchmarks/cluster.py            # bunny x 4 (or the sample), order 5, 1024 rays, bounces 0 and 2
     python scripts/benchmarks/cluster.py kills 20   # as many bakes, a worker killed at random in each: the same bits?
 
-"overhead": seconds of both workers a chunk that were not spent in its task, from a bake of so few rays that nearly nothing
-is traced. "sent": bytes that all tasks of a stage share, pickled, a worker. "back": bytes of results a stage.
+"overhead": milliseconds of a worker a chunk that threads do not spend, from bakes of one ray, where nearly nothing is
+traced. "sent": bytes that all tasks of a stage share, pickled, a worker. "back": bytes of results a stage.
 """
 
 import os

@@ -355,7 +355,7 @@ def on_clusters(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def bound(*arguments: P.args, **named: P.kwargs) -> R:
-        on = named.pop("on", None)
+        on: Any = named.pop("on", None)
         if on is None:
             return function(*arguments, **named)
         for other in ("threads", "runner"):
