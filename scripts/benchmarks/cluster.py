@@ -18,7 +18,6 @@ from typing import Any
 import rich
 import torch
 
-from torchprt.measure import Table
 from torchprt.scene import Scene, load, make_mesh, samples
 from torchprt.transport import Cluster, bake
 from torchprt.transport.cluster import connected
@@ -67,16 +66,15 @@ def run() -> None:
     name, what = scene()
     receivers = what.geometry().receivers
     count = len(chunks(receivers))
-    table = Table(f"{name}, {receivers} receivers, {count} chunks, {WORKERS} workers against {WORKERS} threads")
+    rich.print(f"{name}, {receivers} receivers, {count} chunks, {WORKERS} workers against {WORKERS} threads")
     with connected(f"local:{WORKERS}") as cluster:
         for bounces in (0, 2):
-            for rays in (1, RAYS):
+            for rays in (RAYS, 1):
                 here, wanted = seconds(what, rays=rays, bounces=bounces, threads=WORKERS)
                 there, found = seconds(what, rays=rays, bounces=bounces, on=cluster)
                 same = "yes" if torch.equal(wanted, found) else "NO"
-                table.add(
-                    f"{bounces} bounces, {rays} rays", threads_s=here, cluster_s=there, ratio=there / here, same=same
-                )
+                said = f"{here:.1f} s threads, {there:.1f} s cluster, ratio {there / here:.3f}, same bits: {same}"
+                print(f"{bounces} bounces, {rays} rays: {said}", flush=True)
                 if rays == 1:
                     overhead = 1e3 * WORKERS * (there - here) / ((1 + bounces) * count)
                     rich.print(f"bounces {bounces}: overhead {overhead:.1f} ms of a worker a chunk")
@@ -84,7 +82,6 @@ def run() -> None:
         bake(what, order=ORDER, rays=16, bounces=2, runner=counting, progress=False)  # type: ignore[arg-type]
         for number, each in enumerate(counting.stages):
             rich.print(f"stage {number}: {each}")
-    rich.print(table)
 
 
 class Kills:

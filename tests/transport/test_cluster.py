@@ -142,9 +142,9 @@ def test_refuses_a_store_that_workers_do_not_see(scene, processes, memory):
 
 
 def test_processes_of_a_cluster_give_the_same_bits_although_one_is_killed(scene, alone, processes, tmp_path):
-    found = bake(
-        scene, on=processes, checkpoint=tmp_path / "kept", **{**OPTIONS, "progress": Kills(processes, after=3)}
-    )
+    kills = Kills(processes, after=3)
+    found = bake(scene, on=processes, checkpoint=tmp_path / "kept", **{**OPTIONS, "progress": kills})
+    assert kills.left <= 0
     assert torch.equal(stored(found), stored(alone))
     assert found.error == alone.error
     assert not (tmp_path / "kept").exists()
