@@ -48,6 +48,8 @@ def bake(
     raw: Annotated[bool, typer.Option("--raw", help="Leave vertices that cannot see as they are, black.")] = False,
     seed: bake_options.Seed = None,
     threads: bake_options.CPUs = None,
+    cluster: bake_options.OnCluster = None,
+    checkpoint: bake_options.At = None,
     sample_points: bake_options.SamplePoints = None,
     sample_gradients: bake_options.SampleGradients = False,
     in_parts: bake_options.InParts = None,
@@ -71,6 +73,8 @@ def bake(
 ) -> None:
     """Bake how meshes shadow and light themselves. Stopped with Ctrl-C, the same command goes on."""
     check_writable(output, (".safetensors",))
+    if cluster is not None and threads is not None:
+        raise InputError("--threads and --cluster are both given: leave one of the two out")
     count, few = options.bounces(bake_options.BOUNCES if bounces is None else bounces), options.factors(factors)
     kind = options.choice(frame, "--frame", options.FRAMES)
     onto = options.choice(projection, "--projection", options.PROJECTIONS)
@@ -104,7 +108,15 @@ def bake(
     through = None if volume is None else bake_options.through(volume)
     if recipe is not None:
         say(f"{plan}: {recipe.name}")
-        common = {"seed": seed or 0, "threads": threads, "raw": raw, "volume": through, "lightmap": asked}
+        common = {
+            "seed": seed or 0,
+            "threads": threads,
+            "on": cluster,
+            "at": checkpoint,
+            "raw": raw,
+            "volume": through,
+            "lightmap": asked,
+        }
         _bake_planned(scene, output, recipe, predicted, located, **common)
         return
     transfer = bake_options.baked(
@@ -119,6 +131,8 @@ def bake(
         shadows=not unshadowed,
         seed=seed or 0,
         threads=threads,
+        on=cluster,
+        at=checkpoint,
         frame=kind,
         output_order=output_order,
         visibility_order=visibility_order,

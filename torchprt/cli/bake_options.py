@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -117,6 +116,25 @@ Seed = Annotated[
 ]
 CPUs = Annotated[
     int | None, typer.Option("--threads", rich_help_panel=BAKE, min=1, help="As many as there are cores by default.")
+]
+OnCluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        rich_help_panel=BAKE,
+        metavar="ADDRESS",
+        help="Bake on a Dask cluster: tcp://HOST:PORT of its scheduler, or local:4, four processes of this machine.",
+    ),
+]
+At = Annotated[
+    str | None,
+    typer.Option(
+        "--checkpoint",
+        rich_help_panel=BAKE,
+        metavar="PLACE",
+        help="Where chunks wait that are done: a folder, or s3://..., that all workers of a cluster reach.",
+        show_default="OUTPUT.partial",
+    ),
 ]
 OutputOrder = Annotated[
     int | None,
@@ -350,14 +368,16 @@ def baked(
     half: bool = False,
     store: Callable[[Transfer], Transfer] | None = None,
     in_parts: bool | None = False,
+    at: str | None = None,
     **arguments: Any,
 ) -> Transfer:
-    """The bake of a scene, `kept` in `output`; `in_parts`: written part by part, None for if it is large."""
+    """The bake of a scene, `kept` in `output`, and on the way there `at` a place; `in_parts`: written part by part, None
+    for if it is large."""
     from torchprt.transport import Output, bake
 
     parts = output is not None and (_is_large(scene, arguments) if in_parts is None else in_parts)
 
-    def make(folder: Path | None) -> Transfer:
+    def make(folder: Path | str | None) -> Transfer:
         if output is None or not parts:
             return bake(scene, checkpoint=folder, keep=True, **arguments)
         import torch
@@ -365,7 +385,7 @@ def baked(
         out = Output(output, dtype=torch.float16 if half else None, then=store)
         return bake(scene, checkpoint=folder, keep=True, out=out, **arguments)
 
-    return kept(output, make, half=half, store=store, partly=arguments.get("shadows", True), written=parts)
+    return kept(output, make, half=half, store=store, partly=arguments.get("shadows", True), written=parts, at=at)
 
 
 # The share of free memory that a bake may hold of its result before that is written part by part.
@@ -388,14 +408,16 @@ def _is_large(scene: Scene, arguments: dict[str, Any]) -> bool:
 
 def kept(
     output: Path | None,
-    make: Callable[[Path | None], Transfer],
+    make: Callable[[Path | str | None], Transfer],
     *,
     half: bool = False,
     store: Callable[[Transfer], Transfer] | None = None,
     partly: bool = True,
     written: bool = False,
+    at: str | None = None,
 ) -> Transfer:
-    """What a bake makes, told of; kept in `output`, if there is one, and on the way there in a folder beside it.
+    """What a bake makes, told of; kept in `output`, if there is one, and on the way there `at` a place, a folder beside
+    it unless another is named.
 
     `store`: what is made of it before it is kept. `partly`: whether it can be kept on the way. `written`: whether it
     is in `output` already when it is made.
@@ -403,8 +425,10 @@ def kept(
     import torch
 
     from torchprt.transfer import save
+    from torchprt.transport.checkpoint import is_there, place_of, remove
 
-    folder = None if output is None or not partly else output.with_name(output.name + ".partial")
+    beside = None if output is None else output.with_name(output.name + ".partial")
+    folder = (place_of(at) or beside) if partly else None
     start = time.perf_counter()
     try:
         transfer = make(folder)
@@ -416,12 +440,12 @@ def kept(
             save(transfer, output)
     except KeyboardInterrupt:
         left = ""
-        if folder is not None and folder.exists():
+        if folder is not None and is_there(folder):
             left = f"; {folder} keeps what is done, the same command goes on from there"
         complain(f"stopped{left}")
         raise typer.Exit(130) from None
     if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
     name = f"{output}: " if output is not None else ""
     say(f"\n{name}{describe(transfer)}, baked in {time.perf_counter() - start:.1f} s")
     return transfer

@@ -46,6 +46,8 @@ def neighbourhood(
     blocker: bake_options.Blocker = None,
     seed: bake_options.Seed = None,
     threads: bake_options.CPUs = None,
+    cluster: bake_options.OnCluster = None,
+    checkpoint: bake_options.At = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
 ) -> None:
     """Bake what an object does to the light around it: shadows for what it has never seen. See `torchprt cast`."""
@@ -67,7 +69,7 @@ def neighbourhood(
 
     from torchprt.transport import bake_neighbourhood
 
-    def make(folder: Path | None) -> Transfer:
+    def make(folder: Path | str | None) -> Transfer:
         return bake_neighbourhood(
             scene,
             order=order or bake_options.ORDER,
@@ -79,11 +81,12 @@ def neighbourhood(
             bounces=count,
             seed=seed or 0,
             threads=threads,
+            on=cluster,
             checkpoint=folder,
             keep=True,
         )
 
-    baked = bake_options.kept(output, make, half=half)
+    baked = bake_options.kept(output, make, half=half, at=checkpoint)
     for line in details(baked):
         say(line)
 

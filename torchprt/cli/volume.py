@@ -80,6 +80,8 @@ def volume(
     ] = bake_options.BOUNCES,
     seed: bake_options.Seed = None,
     threads: bake_options.CPUs = None,
+    cluster: bake_options.OnCluster = None,
+    checkpoint: bake_options.At = None,
     half: Annotated[bool, typer.Option("--half", help="Store transfer in float16.")] = False,
 ) -> None:
     """Bake how a cloud or smoke shades itself and scatters light. Surfaces stand below it by `torchprt bake --volume`.
@@ -101,7 +103,7 @@ def volume(
     read = read_volume(grid, scale=scale, coarsen=coarsen, grid=name, **found)
     say(f"{grid}: {read}")
 
-    def make(folder: Path | None) -> Transfer:
+    def make(folder: Path | str | None) -> Transfer:
         return bake_volume(
             read,
             blockers=load_objects((), blockers=blocker or ()),
@@ -111,11 +113,12 @@ def volume(
             bounces=count,
             seed=seed or 0,
             threads=threads,
+            on=cluster,
             checkpoint=folder,
             keep=True,
         )
 
-    baked = bake_options.kept(output, make, half=half)
+    baked = bake_options.kept(output, make, half=half, at=checkpoint)
     for line in details(baked):
         say(line)
 

@@ -5,6 +5,7 @@ from torchprt.checkpoint import CheckpointWarning as CheckpointWarning
 from .bake import bake
 from .bake_glossy import OrderWarning
 from .capture import lamps_seen
+from .cluster import Cluster
 from .diffuse import unshadowed
 from .directions import frames, hemisphere
 from .membrane_lobes import membrane_lobes
@@ -20,6 +21,7 @@ from .wrinkle import groove_transfer, wrinkle
 
 __all__ = [
     "CheckpointWarning",
+    "Cluster",
     "GridWarning",
     "MirrorWarning",
     "OrderWarning",

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
@@ -25,7 +25,8 @@ from torchprt.transport import bake_glossy, result
 from torchprt.transport.bake_glossy import Frame, Wanted
 from torchprt.transport.bounce import Surfaces
 from torchprt.transport.bounces import Bounces, check_bounces, followed
-from torchprt.transport.checkpoint import Checkpoint
+from torchprt.transport.checkpoint import Checkpoint, kept_at, place_of
+from torchprt.transport.cluster import Cluster, on_clusters
 from torchprt.transport.diffuse import unshadowed
 from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.directions import hemisphere
@@ -47,7 +48,13 @@ from torchprt.transport.through_volume import ThroughVolume, through
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
+if TYPE_CHECKING:
+    from distributed import Client
 
+    from torchprt.transport.object_store import ObjectCheckpoint
+
+
+@on_clusters
 @torch_on_one_thread()
 def bake(
     scene: Scene,
@@ -62,6 +69,7 @@ def bake(
     seed: int = 0,
     threads: int | None = None,
     runner: Runner | None = None,
+    on: Client | Cluster | str | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
     out: str | os.PathLike[str] | Output | None = None,
@@ -89,7 +97,10 @@ def bake(
     - `volume`: what light goes through on its way to the surfaces and between them. A `Volume` casts shadow alone; the
       transfer of `bake_volume` also sends them the light that it scatters. What surfaces send is not scattered by it.
     - `threads`: as many as the machine has cores by default; or instead a `runner` of tasks, such as `Processes`.
-    - `checkpoint`: a folder that keeps finished chunks; the same call goes on from there, and removes it when done
+    - `on`: a Dask cluster that does the work, `transport.Cluster`: a client of it, the address of its scheduler, or
+      "local:4" for four processes of this machine.
+    - `checkpoint`: a folder that keeps finished chunks, or the URL of one that fsspec opens (`s3://...`), which a
+      cluster of several machines needs if anything bounces; the same call goes on from there, and removes it when done
       unless it is to `keep` it (until the result is safe on disk, say).
     - `out`: a `.safetensors` to write, part by part, for a result that is larger than memory. What grows with receivers
       times coefficients then stands in files beside it that are mapped into memory, the same bits as without; the
@@ -201,7 +212,7 @@ def bake(
                 geometry, everything, validity = with_sight(geometry, tracer, everything, workers)
         met = surfaces(geometry, between)
     job = Job(tracer, met, everything, order, rays, seed, channels, membranes, validity, enough, bodies)
-    folder = None if checkpoint is None else Path(checkpoint)
+    folder = place_of(checkpoint)
     if folder is None and output is not None:
         folder = output.partial
     with contextlib.ExitStack() as stack:
@@ -311,16 +322,16 @@ def check_numbers(
 
 @contextlib.contextmanager
 def store_of(
-    folder: Path | None,
+    folder: Path | str | None,
     job: Job,
     geometry: Geometry,
     points: Geometry | None,
     bounces: int | float,
     wanted: Wanted | None,
     **more: Any,
-) -> Iterator[Checkpoint | None]:
-    """Where chunks are kept: the named folder, a temporary one if hits must wait for bounces, or none. `more`: what
-    else the results depend on."""
+) -> Iterator[Checkpoint | ObjectCheckpoint | None]:
+    """Where chunks are kept: the named place (`place_of`), a temporary folder if hits must wait for bounces, or none.
+    `more`: what else the results depend on."""
     if folder is None and not bounces:
         yield None
         return
@@ -361,9 +372,11 @@ def store_of(
 
 
 @contextlib.contextmanager
-def kept_in(folder: Path | None, contents: Sequence[Tensor], parameters: dict[str, Any]) -> Iterator[Checkpoint]:
-    """A checkpoint of what `contents` and `parameters` decide, in a folder or a temporary one."""
-    store = Checkpoint(folder, fingerprint(contents, parameters))
+def kept_in(
+    folder: Path | str | None, contents: Sequence[Tensor], parameters: dict[str, Any]
+) -> Iterator[Checkpoint | ObjectCheckpoint]:
+    """A checkpoint of what `contents` and `parameters` decide, at a place or in a temporary folder."""
+    store = kept_at(folder, fingerprint(contents, parameters))
     try:
         yield store
     except CannotWrite as fault:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlsplit
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
@@ -14,6 +17,41 @@ from torch import Tensor
 from torchprt.checkpoint import CheckpointWarning
 from torchprt.errors import InputError
 from torchprt.files import atomic, sentences, temporary_folder
+
+if TYPE_CHECKING:
+    from torchprt.transport.object_store import ObjectCheckpoint
+
+
+def place_of(checkpoint: str | os.PathLike[str] | None) -> Path | str | None:
+    """Where a checkpoint is to be: a folder of this machine, or the URL of another store."""
+    if not isinstance(checkpoint, str) or "://" not in checkpoint:
+        return None if checkpoint is None else Path(checkpoint)
+    # Files of this machine are renamed into place, which no library of stores does.
+    return Path(unquote(urlsplit(checkpoint).path)) if checkpoint.startswith("file://") else checkpoint
+
+
+def kept_at(place: Path | str | None, fingerprint: str) -> Checkpoint | ObjectCheckpoint:
+    """The checkpoint at a place of `place_of`."""
+    if not isinstance(place, str):
+        return Checkpoint(place, fingerprint)
+    from torchprt.transport.object_store import ObjectCheckpoint
+
+    return ObjectCheckpoint(place, fingerprint)
+
+
+def is_there(place: Path | str) -> bool:
+    """Whether a bake that stopped has left anything at a place, as far as can be told at once."""
+    return isinstance(place, str) or place.exists()
+
+
+def remove(place: Path | str) -> None:
+    """Removes the checkpoint at a place, if there is one."""
+    if not isinstance(place, str):
+        shutil.rmtree(place, ignore_errors=True)
+        return
+    from torchprt.transport import object_store
+
+    object_store.remove(place)
 
 
 class Folder:
@@ -45,6 +83,14 @@ class Folder:
         if contents is None:
             raise InputError(f"{self.path(number)} vanished or was damaged during the bake: run it again")
         return contents
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Of the bake that the chunks belong to, None if that is not said."""
+        return _fingerprint_in(self.folder / "manifest.json")
+
+    def __str__(self) -> str:
+        return str(self.folder)
 
 
 class Checkpoint(Folder):

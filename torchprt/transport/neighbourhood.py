@@ -7,7 +7,7 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,6 +25,8 @@ from torchprt.transfer import Dense, Grid, Neighbourhood, Sight, Transfer, grid_
 from torchprt.transport.bake import check_numbers, store_of
 from torchprt.transport.bake_glossy import Wanted
 from torchprt.transport.bounces import Bounces, followed
+from torchprt.transport.checkpoint import place_of
+from torchprt.transport.cluster import Cluster, on_clusters
 from torchprt.transport.diffuse_tasks import Job
 from torchprt.transport.enclosing import SHARE, enclosing_box
 from torchprt.transport.estimate import SAMPLE_RAYS
@@ -44,6 +46,9 @@ from torchprt.transport.validity import along
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 COARSE = 0.025
 """Interpolation errors that are warned of."""
 # Cells whose middle is baked to find that error, and nodes that are traced again to find that of the rays.
@@ -61,6 +66,7 @@ class GridWarning(UserWarning):
     """The grid around an object is too coarse for what it does there."""
 
 
+@on_clusters
 @torch_on_one_thread()
 def bake_neighbourhood(
     scene: Scene | Sequence[Object],
@@ -75,6 +81,7 @@ def bake_neighbourhood(
     seed: int = 0,
     threads: int | None = None,
     runner: Runner | None = None,
+    on: Client | Cluster | str | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
     progress: bool | Report = True,
@@ -92,7 +99,7 @@ def bake_neighbourhood(
       what came of it.
     - `rays` a node, over the sphere; `bounces`: light that the object reflects to its surroundings, 1 for what comes
       straight from it, or more for what bounces on it first; mirrors reflect without any.
-    - `seed`, `threads`, `runner`, `checkpoint`, `keep`, `progress` as for `bake`.
+    - `seed`, `threads`, `runner`, `on`, `checkpoint`, `keep`, `progress` as for `bake`.
 
     Nodes inside of the object are filled from those around them (harmonically, over the grid); `inside` counts them.
     The middles of 512 cells are baked too: `interpolation_error` of the layer is how far what is read between nodes is
@@ -123,7 +130,7 @@ def bake_neighbourhood(
     wanted = Wanted("exit", order, "optimal", None, order) if len(geometry.glossy) else None
     positions = place.positions
     points = among(Points(positions, torch.zeros_like(positions)), geometry)
-    folder = None if checkpoint is None else Path(checkpoint)
+    folder = place_of(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:

@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
@@ -21,7 +22,8 @@ from torchprt.trace import Tracer
 from torchprt.transfer import Cells, Dense, Diffuse, Layer, Phase, Transfer
 from torchprt.transport.bake import check_numbers, kept_in
 from torchprt.transport.bounces import SPENT, UNSEEN, Bounces
-from torchprt.transport.checkpoint import Checkpoint
+from torchprt.transport.checkpoint import Checkpoint, place_of
+from torchprt.transport.cluster import Cluster, on_clusters
 from torchprt.transport.passes import State, VolumeWarning, counted, endless
 from torchprt.transport.progress import Bar
 from torchprt.transport.stages import Stages
@@ -31,6 +33,11 @@ from torchprt.transport.tracks import Medium
 from torchprt.transport.volume_tasks import BOTH, GROUPS, Enter, Inside, Scatter
 from torchprt.transport.workers import Threads, torch_on_one_thread
 from torchprt.version import VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from torchprt.transport.object_store import ObjectCheckpoint
 
 NARROW = 0.8
 """Moment of the first band of a phase function that is left out, above which that is warned of: with .77 radiance of a
@@ -42,6 +49,7 @@ _FEWER = 16
 _FEWEST, _A_ROW = 64, 8
 
 
+@on_clusters
 @torch_on_one_thread()
 def bake_volume(
     volume: Volume,
@@ -54,6 +62,7 @@ def bake_volume(
     seed: int = 0,
     threads: int | None = None,
     runner: Runner | None = None,
+    on: Client | Cluster | str | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     keep: bool = False,
     progress: bool | Report = True,
@@ -69,7 +78,7 @@ def bake_volume(
     - `bounces`: how often what was scattered is scattered again: 0, a count, `math.inf` until a pass adds less than
       1e-4 of the transfer (RMS), or "auto", 1e-2. Without end they are not made one by one, see `passes.endless`;
       `bounces` of the result is how many there were.
-    - `seed`, `threads`, `runner`, `checkpoint`, `keep`, `progress` as for `bake`.
+    - `seed`, `threads`, `runner`, `on`, `checkpoint`, `keep`, `progress` as for `bake`.
 
     Light is followed exactly through cells that are uniform, along tracks that sample each cell by its volume
     (`tracks`); what a cell gets is its mean along them. A cell that holds nothing costs nothing. `error` of the result
@@ -92,7 +101,7 @@ def bake_volume(
     albedo = volume.albedo if len(volume.albedo) == 1 else volume.albedo[receivers.cells.long()]
     inside = _inside(volume, receivers, blockers, order, moments, rays, seed)
     channels = 3 if volume.coloured and bounces else 1
-    folder = None if checkpoint is None else Path(checkpoint)
+    folder = place_of(checkpoint)
     with contextlib.ExitStack() as stack:
         report: Report = progress if not isinstance(progress, bool) else Silent()
         if progress is True:
@@ -269,7 +278,9 @@ def _root_mean_square(values: Tensor) -> float:
 
 
 @contextlib.contextmanager
-def _store(folder: Path | None, inside: Inside, albedo: Tensor, bounces: Bounces) -> Iterator[Checkpoint | None]:
+def _store(
+    folder: Path | str | None, inside: Inside, albedo: Tensor, bounces: Bounces
+) -> Iterator[Checkpoint | ObjectCheckpoint | None]:
     """The named folder, if any."""
     if folder is None:
         yield None

@@ -1,0 +1,121 @@
+"""What a worker of a cluster does: it holds what tasks share, runs them, and says what it is."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.metadata
+import pickle
+import signal
+import threading
+from typing import Any
+
+import safetensors.torch
+import torch
+
+from torchprt.errors import InputError
+from torchprt.transport.task import Results, Task
+from torchprt.transport.workers import torch_on_one_thread
+from torchprt.version import VERSION
+
+
+class Shared:
+    """Something that the tasks of a stage share, made anew once where it arrives: Embree's tree is built then.
+
+    What cannot be made there is told by the first task that needs it, since a connection can only break.
+    """
+
+    def __init__(self, thing: object, fault: Exception | None = None):
+        self._thing, self._fault = thing, fault
+
+    @property
+    def thing(self) -> Any:
+        """What was sent."""
+        if self._fault is not None:
+            raise self._fault
+        return self._thing
+
+    def __reduce__(self) -> tuple[Any, tuple[pickle.PickleBuffer]]:
+        # Workers hand it on to each other, as it was sent to them.
+        packed = pickle.dumps((self._thing, self._fault), pickle.HIGHEST_PROTOCOL)
+        return _arrived, (pickle.PickleBuffer(packed),)
+
+
+def _arrived(packed: bytes) -> Shared:
+    try:
+        return Shared(*pickle.loads(packed))
+    except Exception as fault:
+        return Shared(None, fault)
+
+
+class _Busy:
+    """How many tasks run in this process."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.count = 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self.count += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self.count -= 1
+
+
+_busy = _Busy()
+
+
+def run(wanted: dict[str, str], task: Task, *shared: Shared) -> bytes:
+    """The tensors of a task as bytes, if this worker has the versions that are `wanted`."""
+    differences = different(wanted, versions())
+    if differences:
+        from distributed import get_worker
+
+        raise InputError(refused(get_worker().address, differences))
+    with _busy, torch_on_one_thread():
+        return safetensors.torch.save(task(*(each.thing for each in shared)))
+
+
+async def finished() -> None:
+    """Returns when no task runs here any more."""
+    while _busy.count:
+        await asyncio.sleep(0.02)
+
+
+def sees(store: Results) -> str | None:
+    """The fingerprint of a checkpoint as it is read from here."""
+    return getattr(store, "fingerprint", None)
+
+
+_versions: dict[str, str] = {}
+
+
+def versions() -> dict[str, str]:
+    """All that the bits of a result depend on beside its task."""
+    if not _versions:
+        _versions.update(torchprt=VERSION)
+        _versions.update({name: importlib.metadata.version(name) for name in ("torch", "numpy", "embreex")})
+        # Sums are added in another order with wider instructions.
+        _versions["instructions of the processor"] = torch.backends.cpu.get_cpu_capability()
+    return dict(_versions)
+
+
+def different(wanted: dict[str, str], found: dict[str, str]) -> list[tuple[str, str, str]]:
+    """What differs: its name, what is wanted and what was found."""
+    return [(name, each, found.get(name, "none")) for name, each in wanted.items() if found.get(name) != each]
+
+
+def refused(worker: str, differences: list[tuple[str, str, str]]) -> str:
+    """The sentence of a worker that would give other bits."""
+    said = ", ".join(f"{name} {found} where {wanted} is needed" for name, wanted, found in differences)
+    advice = "install the same versions there"
+    if any(name.startswith("instructions") for name, *_ in differences):
+        advice = "choose machines of one kind, or set ATEN_CPU_CAPABILITY to the same on all of them and here"
+    return f"the worker {worker} has {said}, which gives other results: {advice}"
+
+
+def dask_setup(worker: Any) -> None:
+    """Called by Dask when a worker of this machine starts."""
+    # Ctrl-C reaches the whole group; who collects decides when to stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
