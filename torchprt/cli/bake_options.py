@@ -371,8 +371,8 @@ def baked(
     at: str | None = None,
     **arguments: Any,
 ) -> Transfer:
-    """The bake of a scene, `kept` in `output`, and on the way there `at` a place; `in_parts`: written part by part, None
-    for if it is large."""
+    """The bake of a scene, `kept` in `output`, and on the way there `at` a place; `in_parts`: written part by part,
+    None for if it is large."""
     from torchprt.transport import Output, bake
 
     parts = output is not None and (_is_large(scene, arguments) if in_parts is None else in_parts)
