@@ -31,6 +31,9 @@ WITHOUT_TENSORS = {
     "sh/hemisphere_basis.py": {"_recurrence"},
     "sh/quadrature.py": {"_gauss_legendre"},
     "preview/window.py": {"_connection"},
+    "trace/embree.py": {"library"},
+    "trace/engines.py": {"_fastest"},
+    "trace/packets.py": {"_kernels"},
 }
 # Of every remembered function the plain values that one call is made with.
 F32 = torch.float32

@@ -21,6 +21,7 @@ INSIDE = {
     "web/packing.py": {"pack": "web.export.export"},
     # Has sentences of its own.
     "transport/checkpoint.py": {"__init__": ""},
+    "transport/object_store.py": {"__init__": ""},
     "transport/workers.py": {"_write": ""},
 }
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "files.py")
