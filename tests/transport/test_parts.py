@@ -224,7 +224,7 @@ class Allocations(TorchDispatchMode):
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("diffuse", {"bounces": 2}), ("membrane", {"bounces": 2}), ("glossy", {"bounces": 1, "frame": "incident"})],
+    [("membrane", {"bounces": 2})],
 )
 def test_nothing_as_large_as_a_part_of_the_result_is_in_memory(name, options, tmp_path, monkeypatch, small):
     monkeypatch.setattr("torchprt.transport.task.CHUNK", 32)

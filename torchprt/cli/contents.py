@@ -50,7 +50,7 @@ def _transfer(path: Path) -> list[str]:
     from torchprt.transfer import load
 
     # The numbers themselves, which may be larger than memory, say nothing here.
-    loaded = load(path, numbers=False)
+    loaded = load(path)
     told = f"{count(loaded.rays, 'ray')} a receiver, seed {loaded.seed}, baked by torchprt {loaded.version}"
     return [f"{path}: {describe(loaded)}", *details(loaded), told]
 
