@@ -55,6 +55,95 @@ def _near(origins):
     return np.argsort(code, kind="mergesort")
 
 
+@njit(nogil=True)
+@no_type_check
+def _aligned(lanes, rows):
+    memory = np.zeros((rows * lanes + ALIGNED), np.float32)
+    shift = (-(memory.ctypes.data // 4)) % ALIGNED
+    return memory[shift : shift + rows * lanes]
+
+
+@njit(nogil=True)
+@no_type_check
+def _prepared(lanes):
+    """A packet and which of its lanes count, with all that is the same for all rays."""
+    packet = _aligned(lanes, ROWS)
+    numbers = packet.view(np.int32)
+    valid = _aligned(lanes, 1).view(np.int32)
+    for lane in range(lanes):
+        numbers[MASK * lanes + lane] = -1
+    return packet, numbers, valid
+
+
+@njit(nogil=True)
+@no_type_check
+def _stand(lanes, packet, valid, origin):
+    """Puts the origin of a receiver into the packet, whose lanes all count again."""
+    for axis in range(3):
+        for lane in range(lanes):
+            packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
+    for lane in range(lanes):
+        valid[lane] = -1
+
+
+@njit(nogil=True)
+@no_type_check
+def _aim(lanes, packet, valid, origins, frame, directions, places, first, count):
+    """Puts the rays from `first` on into the packet, in the frame of a receiver."""
+    for lane in range(lanes):
+        x, y, z = directions[0, first + lane], directions[1, first + lane], directions[2, first + lane]
+        packet[DIRECTION * lanes + lane] = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
+        packet[(DIRECTION + 1) * lanes + lane] = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
+        packet[(DIRECTION + 2) * lanes + lane] = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+        packet[FAR * lanes + lane] = FARTHEST
+    if len(origins) > 1:
+        for lane in range(lanes):
+            origin = origins[places[first + lane] % len(origins)]
+            for axis in range(3):
+                packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
+    if count < first + lanes:
+        for lane in range(lanes):
+            valid[lane] = -1 if first + lane < count else 0
+
+
+@njit(nogil=True)
+@no_type_check
+def _gather(lanes, packet, valid, origins, directions, first):
+    """Puts single rays from `first` on into the packet."""
+    for lane in range(lanes):
+        ray = min(first + lane, len(origins) - 1)
+        valid[lane] = -1 if first + lane < len(origins) else 0
+        for axis in range(3):
+            packet[(ORIGIN + axis) * lanes + lane] = origins[ray, axis]
+            packet[(DIRECTION + axis) * lanes + lane] = directions[ray, axis]
+        packet[FAR * lanes + lane] = FARTHEST
+
+
+@njit(nogil=True)
+@no_type_check
+def _clear(lanes, numbers):
+    """Before a packet asks for hits there are none."""
+    for row in range(TRIANGLE, ROWS):
+        for lane in range(lanes):
+            numbers[row * lanes + lane] = -1
+
+
+@njit(nogil=True)
+@no_type_check
+def _keep(lanes, packet, numbers, lane, triangle, u, v, front, place):
+    """Writes what one ray of a packet has hit to its place."""
+    found = numbers[TRIANGLE * lanes + lane]
+    triangle[place] = found
+    if found < 0:
+        u[place], v[place], front[place] = 0, 0, False
+        return
+    u[place], v[place] = packet[U * lanes + lane], packet[V * lanes + lane]
+    facing = np.float32(0)
+    for axis in range(3):
+        facing += packet[(NORMAL + axis) * lanes + lane] * packet[(DIRECTION + axis) * lanes + lane]
+    front[place] = facing < 0
+
+
 def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
     """The loops for packets of so many rays, a constant of what is compiled and, if it is `kept`, found on disk by the
     next process:
@@ -68,97 +157,17 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
     `function` and `scene` are addresses. All arrays are contiguous.
     Raises RuntimeError if it cannot be kept.
     """
-
-    @njit(nogil=True)
-    @no_type_check
-    def aligned(rows):
-        memory = np.zeros((rows * lanes + ALIGNED), np.float32)
-        shift = (-(memory.ctypes.data // 4)) % ALIGNED
-        return memory[shift : shift + rows * lanes]
-
-    @njit(nogil=True)
-    @no_type_check
-    def prepared():
-        """A packet and which of its lanes count, with all that is the same for all rays."""
-        packet = aligned(ROWS)
-        numbers = packet.view(np.int32)
-        valid = aligned(1).view(np.int32)
-        for lane in range(lanes):
-            numbers[MASK * lanes + lane] = -1
-        return packet, numbers, valid
-
-    @njit(nogil=True)
-    @no_type_check
-    def stand(packet, valid, origin):
-        """Puts the origin of a receiver into the packet, whose lanes all count again."""
-        for axis in range(3):
-            for lane in range(lanes):
-                packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
-        for lane in range(lanes):
-            valid[lane] = -1
-
-    @njit(nogil=True)
-    @no_type_check
-    def aim(packet, valid, origins, frame, directions, places, first, count):
-        """Puts the rays from `first` on into the packet, in the frame of a receiver."""
-        for lane in range(lanes):
-            x, y, z = directions[0, first + lane], directions[1, first + lane], directions[2, first + lane]
-            packet[DIRECTION * lanes + lane] = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
-            packet[(DIRECTION + 1) * lanes + lane] = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
-            packet[(DIRECTION + 2) * lanes + lane] = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
-            packet[FAR * lanes + lane] = FARTHEST
-        if len(origins) > 1:
-            for lane in range(lanes):
-                origin = origins[places[first + lane] % len(origins)]
-                for axis in range(3):
-                    packet[(ORIGIN + axis) * lanes + lane] = origin[axis]
-        if count < first + lanes:
-            for lane in range(lanes):
-                valid[lane] = -1 if first + lane < count else 0
-
-    @njit(nogil=True)
-    @no_type_check
-    def gather(packet, valid, origins, directions, first):
-        """Puts single rays from `first` on into the packet."""
-        for lane in range(lanes):
-            ray = min(first + lane, len(origins) - 1)
-            valid[lane] = -1 if first + lane < len(origins) else 0
-            for axis in range(3):
-                packet[(ORIGIN + axis) * lanes + lane] = origins[ray, axis]
-                packet[(DIRECTION + axis) * lanes + lane] = directions[ray, axis]
-            packet[FAR * lanes + lane] = FARTHEST
-
-    @njit(nogil=True)
-    @no_type_check
-    def clear(numbers):
-        """Before a packet asks for hits there are none."""
-        for row in range(TRIANGLE, ROWS):
-            for lane in range(lanes):
-                numbers[row * lanes + lane] = -1
-
-    @njit(nogil=True)
-    @no_type_check
-    def keep(packet, numbers, lane, triangle, u, v, front, place):
-        """Writes what one ray of a packet has hit to its place."""
-        found = numbers[TRIANGLE * lanes + lane]
-        triangle[place] = found
-        if found < 0:
-            u[place], v[place], front[place] = 0, 0, False
-            return
-        u[place], v[place] = packet[U * lanes + lane], packet[V * lanes + lane]
-        facing = np.float32(0)
-        for axis in range(3):
-            facing += packet[(NORMAL + axis) * lanes + lane] * packet[(DIRECTION + axis) * lanes + lane]
-        front[place] = facing < 0
+    # `lanes` is all that they close over: numba keys what it keeps by that, and by what else were functions, which
+    # differ from process to process, nothing would be found again.
 
     @njit(nogil=True, cache=kept)
     @no_type_check
     def visibility(function, scene, origins, frames, directions, places, count, answers):
-        packet, _, valid = prepared()
+        packet, _, valid = _prepared(lanes)
         for row in _near(origins):
-            stand(packet, valid, origins[row, 0])
+            _stand(lanes, packet, valid, origins[row, 0])
             for first in range(0, len(places), lanes):
-                aim(packet, valid, origins[row], frames[row], directions, places, first, count)
+                _aim(lanes, packet, valid, origins[row], frames[row], directions, places, first, count)
                 _call(function, valid.ctypes.data, scene, packet.ctypes.data)
                 for lane in range(min(lanes, count - first)):
                     answers[row, places[first + lane]] = 0 if packet[FAR * lanes + lane] < 0 else 1
@@ -166,22 +175,22 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
     @njit(nogil=True, cache=kept)
     @no_type_check
     def hits(function, scene, origins, frames, directions, places, count, triangle, u, v, front):
-        packet, numbers, valid = prepared()
+        packet, numbers, valid = _prepared(lanes)
         for row in _near(origins):
-            stand(packet, valid, origins[row, 0])
+            _stand(lanes, packet, valid, origins[row, 0])
             for first in range(0, len(places), lanes):
-                aim(packet, valid, origins[row], frames[row], directions, places, first, count)
-                clear(numbers)
+                _aim(lanes, packet, valid, origins[row], frames[row], directions, places, first, count)
+                _clear(lanes, numbers)
                 _call(function, valid.ctypes.data, scene, packet.ctypes.data)
                 for lane in range(min(lanes, count - first)):
-                    keep(packet, numbers, lane, triangle[row], u[row], v[row], front[row], places[first + lane])
+                    _keep(lanes, packet, numbers, lane, triangle[row], u[row], v[row], front[row], places[first + lane])
 
     @njit(nogil=True, cache=kept)
     @no_type_check
     def rays_visible(function, scene, origins, directions, answers):
-        packet, _, valid = prepared()
+        packet, _, valid = _prepared(lanes)
         for first in range(0, len(origins), lanes):
-            gather(packet, valid, origins, directions, first)
+            _gather(lanes, packet, valid, origins, directions, first)
             _call(function, valid.ctypes.data, scene, packet.ctypes.data)
             for lane in range(min(lanes, len(origins) - first)):
                 answers[first + lane] = 0 if packet[FAR * lanes + lane] < 0 else 1
@@ -189,12 +198,12 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
     @njit(nogil=True, cache=kept)
     @no_type_check
     def rays_hit(function, scene, origins, directions, triangle, u, v, front):
-        packet, numbers, valid = prepared()
+        packet, numbers, valid = _prepared(lanes)
         for first in range(0, len(origins), lanes):
-            gather(packet, valid, origins, directions, first)
-            clear(numbers)
+            _gather(lanes, packet, valid, origins, directions, first)
+            _clear(lanes, numbers)
             _call(function, valid.ctypes.data, scene, packet.ctypes.data)
             for lane in range(min(lanes, len(origins) - first)):
-                keep(packet, numbers, lane, triangle, u, v, front, first + lane)
+                _keep(lanes, packet, numbers, lane, triangle, u, v, front, first + lane)
 
     return SimpleNamespace(visibility=visibility, hits=hits, rays_visible=rays_visible, rays_hit=rays_hit)
