@@ -26,7 +26,7 @@ import torch
 from torchprt.measure import Table, relative_rms
 from torchprt.scene import Points, Scene, load, samples
 from torchprt.sh import basis
-from torchprt.trace import Tracer
+from torchprt.trace import ENGINE, Tracer
 from torchprt.trace.rays import in_the_world
 from torchprt.transport import bake, frames, hemisphere
 from torchprt.transport.diffuse import cosine_weights, shadowed
@@ -233,6 +233,8 @@ def errors(scene: Scene, threads: int) -> Table:
 
 def run() -> None:
     """Prints every table."""
+    # What a bake adds to embreex; packets.py has what packets take away.
+    os.environ[ENGINE] = "embreex"
     threads = os.cpu_count() or 1
     torch.set_num_threads(1)
     scene = scene_to_measure()

@@ -28,7 +28,7 @@ from torchprt.light import studio
 from torchprt.measure import Table
 from torchprt.scene import Material, Object, Scene, load
 from torchprt.shade import shader
-from torchprt.trace import Tracer
+from torchprt.trace import ENGINE, Tracer
 from torchprt.transfer import load as load_transfer
 from torchprt.transfer import save
 from torchprt.transport import bake
@@ -105,6 +105,7 @@ def life(vertices: int, bounces: int) -> dict[str, int]:
 
 
 def run() -> None:
+    os.environ[ENGINE] = "embreex"
     threads = os.cpu_count() or 1
     plain = scene_to_measure()
     scene = load([each.mesh for each in plain.objects], material=GLOSS)
