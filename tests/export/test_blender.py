@@ -268,8 +268,8 @@ def test_a_process_that_is_stopped_can_keep_what_is_done(addon, tmp_path):
     kept = tmp_path / "kept"
     code = f"""
 import pathlib, sys, time
-print("diffuse 1%", file=sys.stderr, flush=True)
 try:
+    print("diffuse 1%", file=sys.stderr, flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     pathlib.Path({str(kept)!r}).write_text("done so far")

@@ -39,24 +39,6 @@ def _call(typing, address, valid, scene, packet):
 
 @njit(nogil=True)
 @no_type_check
-def _near(origins):
-    """The order in which receivers are near the one before (Morton's): they meet the same part of the tree."""
-    code = np.zeros(len(origins), np.int64)
-    extent = np.float32(0)
-    for axis in range(3):
-        extent = max(extent, origins[:, 0, axis].max() - origins[:, 0, axis].min())
-    if extent > 0:
-        for axis in range(3):
-            low = origins[:, 0, axis].min()
-            for row in range(len(origins)):
-                cell = np.int64((origins[row, 0, axis] - low) / extent * np.float32(1023))
-                for bit in range(10):
-                    code[row] |= ((cell >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="mergesort")
-
-
-@njit(nogil=True)
-@no_type_check
 def _aligned(lanes, rows):
     memory = np.zeros((rows * lanes + ALIGNED), np.float32)
     shift = (-(memory.ctypes.data // 4)) % ALIGNED
@@ -148,9 +130,10 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
     """The loops for packets of so many rays, a constant of what is compiled and, if it is `kept`, found on disk by the
     next process:
 
-    - `visibility(function, scene, origins, frames, directions, places, count, answers)` writes 1 into `answers [v, D]`
-      where a ray escapes, else 0. `origins [v, S, 3]`, `frames [v, 3, 3]`; `directions [3, R]` and `places [R]`, where
-      each stood before they were put in the order of packets, R = `count` rounded up to whole packets;
+    - `visibility(function, scene, order, origins, frames, directions, places, count, answers)` writes 1 into
+      `answers [v, D]` where a ray escapes, else 0. Receivers come in their `order [v]`; `origins [v, S, 3]`,
+      `frames [v, 3, 3]`; `directions [3, R]` and `places [R]`, where each stood before they were put in the order of
+      packets, R = `count` rounded up to whole packets;
     - `hits(..., triangle, u, v, front)`, all `[v, D]`, the nearest hits instead;
     - `rays_visible(function, scene, origins, directions, answers)` and `rays_hit(..., triangle, u, v, front)` of single
       rays, `[E, 3]` and `[E]`.
@@ -162,9 +145,9 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
 
     @njit(nogil=True, cache=kept)
     @no_type_check
-    def visibility(function, scene, origins, frames, directions, places, count, answers):
+    def visibility(function, scene, order, origins, frames, directions, places, count, answers):
         packet, _, valid = _prepared(lanes)
-        for row in _near(origins):
+        for row in order:
             _stand(lanes, packet, valid, origins[row, 0])
             for first in range(0, len(places), lanes):
                 _aim(lanes, packet, valid, origins[row], frames[row], directions, places, first, count)
@@ -174,9 +157,9 @@ def kernels(lanes: int, kept: bool = True) -> SimpleNamespace:
 
     @njit(nogil=True, cache=kept)
     @no_type_check
-    def hits(function, scene, origins, frames, directions, places, count, triangle, u, v, front):
+    def hits(function, scene, order, origins, frames, directions, places, count, triangle, u, v, front):
         packet, numbers, valid = _prepared(lanes)
-        for row in _near(origins):
+        for row in order:
             _stand(lanes, packet, valid, origins[row, 0])
             for first in range(0, len(places), lanes):
                 _aim(lanes, packet, valid, origins[row], frames[row], directions, places, first, count)
