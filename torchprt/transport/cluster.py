@@ -6,6 +6,7 @@ import contextlib
 import functools
 import inspect
 import itertools
+import logging
 import pickle
 import queue
 import re
@@ -125,10 +126,10 @@ class Cluster:
     def _scatter(self, thing: object) -> Future:
         try:
             # Here, and not in Dask, whose words are many.
-            pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
+            packed = pickle.dumps((thing, None), pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as fault:
             raise InputError(f"the scene cannot be sent to other machines ({fault}): bake with threads") from fault
-        shared = Shared(thing)
+        shared = Shared(thing, packed=packed)
         for tries in itertools.count(1):
             try:
                 return self._client.scatter(shared, broadcast=True, hash=False)
@@ -309,22 +310,36 @@ def connected(on: Client | Cluster | str) -> Iterator[Cluster]:
         raise InputError(
             f"the cluster '{on}' is no address: say tcp://HOST:PORT, or local:4 for workers of this machine"
         )
+    with _hushed():
+        try:
+            client = distributed.Client(on, timeout=ANSWER, set_as_default=False)
+        except (OSError, ValueError, RuntimeError) as fault:
+            raise InputError(
+                f"there is no cluster at {on}: start a scheduler there (`dask scheduler`), or say local:4 for workers "
+                "of this machine"
+            ) from fault
+        with client:
+            yield Cluster(client)
+
+
+@contextlib.contextmanager
+def _hushed() -> Iterator[None]:
+    """Without what Dask writes of a scheduler that goes away, which `Cluster` says in one sentence."""
+    # Dask gives both a level of their own.
+    logs = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    before = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL)
     try:
-        client = distributed.Client(on, timeout=ANSWER, set_as_default=False)
-    except (OSError, ValueError, RuntimeError) as fault:
-        raise InputError(
-            f"there is no cluster at {on}: start a scheduler there (`dask scheduler`), or say local:4 for workers of "
-            "this machine"
-        ) from fault
-    with client:
-        yield Cluster(client)
+        yield
+    finally:
+        for log, level in zip(logs, before, strict=True):
+            log.setLevel(level)
 
 
 @contextlib.contextmanager
 def _local(count: int) -> Iterator[Client]:
     """A client of so many processes of this machine, with a thread each."""
-    import logging
-
     import dask
     from distributed import Client, LocalCluster
 

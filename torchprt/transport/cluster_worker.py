@@ -22,10 +22,11 @@ class Shared:
     """Something that the tasks of a stage share, made anew once where it arrives: Embree's tree is built then.
 
     What cannot be made there is told by the first task that needs it, since a connection can only break.
+    `packed`: as it goes on its way, where that is known.
     """
 
-    def __init__(self, thing: object, fault: Exception | None = None):
-        self._thing, self._fault = thing, fault
+    def __init__(self, thing: object, fault: Exception | None = None, packed: bytes | None = None):
+        self._thing, self._fault, self._packed = thing, fault, packed
 
     @property
     def thing(self) -> Any:
@@ -36,7 +37,7 @@ class Shared:
 
     def __reduce__(self) -> tuple[Any, tuple[pickle.PickleBuffer]]:
         # Workers hand it on to each other, as it was sent to them.
-        packed = pickle.dumps((self._thing, self._fault), pickle.HIGHEST_PROTOCOL)
+        packed = self._packed or pickle.dumps((self._thing, self._fault), pickle.HIGHEST_PROTOCOL)
         return _arrived, (pickle.PickleBuffer(packed),)
 
 
