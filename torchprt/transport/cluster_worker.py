@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ctypes
+import functools
 import importlib.metadata
 import pickle
 import signal
 import threading
+import time
 from typing import Any
 
 import safetensors.torch
 import torch
+from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transport.task import Results, Task
+from torchprt.transport.task import Results
 from torchprt.transport.workers import torch_on_one_thread
 from torchprt.version import VERSION
+
+_SECONDS = "seconds"
+# Of glibc's malloc.h, and the values that it comes to by itself.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 class Shared:
@@ -67,15 +76,45 @@ class _Busy:
 _busy = _Busy()
 
 
-def run(wanted: dict[str, str], task: Task, *shared: Shared) -> bytes:
-    """The tensors of a task as bytes, if this worker has the versions that are `wanted`."""
+def run(wanted: dict[str, str], tasks: bytes, *shared: Shared) -> bytes:
+    """What the pickled list of `tasks` gives, for `unpacked`, if this worker has the versions that are `wanted`."""
     differences = different(wanted, versions())
     if differences:
         from distributed import get_worker
 
         raise InputError(refused(get_worker().address, differences))
+    _allocate_as_at_home()
     with _busy, torch_on_one_thread():
-        return safetensors.torch.save(task(*(each.thing for each in shared)))
+        things = [each.thing for each in shared]
+        start = time.perf_counter()
+        found = {
+            f"{number}.{name}": tensor
+            for number, task in enumerate(pickle.loads(tasks))
+            for name, tensor in task(*things).items()
+        }
+        found[_SECONDS] = torch.tensor(time.perf_counter() - start, dtype=torch.float64)
+        return safetensors.torch.save(found)
+
+
+@functools.cache
+def _allocate_as_at_home() -> None:
+    """Dask has workers give all memory back that they free, so that each task waits for the system to zero it again. What
+    glibc does by itself keeps as much as a task uses."""
+    with contextlib.suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        for name, value in ((_M_MMAP_THRESHOLD, 1 << 25), (_M_TRIM_THRESHOLD, 1 << 26)):
+            mallopt(name, value)
+
+
+def unpacked(packed: bytes, count: int) -> tuple[list[dict[str, Tensor]], float]:
+    """The tensors of each of `count` tasks by name, and how many seconds they took together."""
+    found = safetensors.torch.load(packed)
+    seconds = float(found.pop(_SECONDS))
+    results: list[dict[str, Tensor]] = [{} for _ in range(count)]
+    for key, tensor in found.items():
+        number, name = key.split(".", 1)
+        results[int(number)][name] = tensor
+    return results, seconds
 
 
 async def finished() -> None:
