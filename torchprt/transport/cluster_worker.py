@@ -98,7 +98,7 @@ def run(wanted: dict[str, str], tasks: bytes, *shared: Shared) -> bytes:
 
 @functools.cache
 def _allocate_as_at_home() -> None:
-    """Dask has workers give all memory back that they free, so that each task waits for the system to zero it again. What
+    """Dask has workers give all memory back that they free, and each task waits for the system to zero it again. What
     glibc does by itself keeps as much as a task uses."""
     with contextlib.suppress(OSError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
