@@ -130,10 +130,10 @@ class Cluster:
     def _scatter(self, thing: object) -> Future:
         try:
             # Here, and not in Dask, whose words are many.
-            packed = pickle.dumps((thing, None), pickle.HIGHEST_PROTOCOL)
+            packed = pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as fault:
             raise InputError(f"the scene cannot be sent to other machines ({fault}): bake with threads") from fault
-        shared = Shared(thing, packed=packed)
+        shared = Shared(packed)
         for tries in itertools.count(1):
             try:
                 return self._client.scatter(shared, broadcast=True, hash=False)

@@ -28,33 +28,31 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 class Shared:
-    """Something that the tasks of a stage share, made anew once where it arrives: Embree's tree is built then.
+    """Something that the tasks of a stage share, pickled. It is made anew once, where a task first needs it: Embree's
+    tree is built then, and what cannot be made is told by that task, since a connection can only break."""
 
-    What cannot be made there is told by the first task that needs it, since a connection can only break.
-    `packed`: as it goes on its way, where that is known.
-    """
-
-    def __init__(self, thing: object, fault: Exception | None = None, packed: bytes | None = None):
-        self._thing, self._fault, self._packed = thing, fault, packed
+    def __init__(self, packed: bytes):
+        self._packed: bytes | None = packed
+        self._thing: Any = None
+        self._lock = threading.Lock()
 
     @property
     def thing(self) -> Any:
         """What was sent."""
-        if self._fault is not None:
-            raise self._fault
-        return self._thing
+        with self._lock:
+            if self._packed is not None:
+                self._thing = pickle.loads(self._packed)
+                # Not held twice.
+                self._packed = None
+            return self._thing
 
-    def __reduce__(self) -> tuple[Any, tuple[pickle.PickleBuffer]]:
-        # Workers hand it on to each other, as it was sent to them.
-        packed = self._packed or pickle.dumps((self._thing, self._fault), pickle.HIGHEST_PROTOCOL)
-        return _arrived, (pickle.PickleBuffer(packed),)
-
-
-def _arrived(packed: bytes) -> Shared:
-    try:
-        return Shared(*pickle.loads(packed))
-    except Exception as fault:
-        return Shared(None, fault)
+    def __reduce__(self) -> tuple[type[Shared], tuple[pickle.PickleBuffer]]:
+        # Workers hand it on to each other, most of them before they need it.
+        with self._lock:
+            packed = self._packed
+            if packed is None:
+                packed = pickle.dumps(self._thing, pickle.HIGHEST_PROTOCOL)
+        return Shared, (pickle.PickleBuffer(packed),)
 
 
 class _Busy:
