@@ -22,7 +22,7 @@ FLOORS = {
 LEAN = {
     "pose": {"torch", "jaxtyping"},
     "sh": {"torch", "jaxtyping", "numpy", "scipy"},
-    "shade": {"torch", "jaxtyping", "kornia"},
+    "shade": {"torch", "jaxtyping"},
 }
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
