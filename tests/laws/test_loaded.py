@@ -37,6 +37,7 @@ RUNS = {
     "shade a.safetensors --light b.npy -o d.npy": (*SLOW, *MESHES, *ROOMS),
     "info broken.glb": (*SLOW, *MESHES, "torchprt.compression"),
     "shade a.safetensors -o d.ply": (*SLOW, "torchprt.compression"),
+    "shade a.safetensors -o e.png --size 32x32": (*SLOW[:-4], "torchprt.compression"),
     "info d.ply": (*SLOW, "torchprt.compression"),
 }
 REFUSED = [each for each in RUNS if "none" in each or "foreign" in each or "broken" in each]
