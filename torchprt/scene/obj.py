@@ -165,8 +165,9 @@ class _Said:
     def _faces(self, corners: np.ndarray) -> None:
         """Adds polygons `[L, k, 3]` as fans."""
         count, sides, _ = corners.shape
-        fan = np.array([(0, each, each + 1) for each in range(1, sides - 1)])
-        self._corners.extend(corners[:, fan].reshape(-1, 3))
+        if sides > 3:
+            corners = corners[:, [(0, each, each + 1) for each in range(1, sides - 1)]]
+        self._corners.extend(corners.reshape(-1, 3))
         self._used.extend(np.full((count * (sides - 2), 1), self._material, np.int64))
 
     def parsed(self) -> Parsed:
