@@ -34,6 +34,7 @@ WITHOUT_TENSORS = {
     "trace/embree.py": {"library"},
     "trace/engines.py": {"_fastest"},
     "trace/packets.py": {"_kernels"},
+    "transport/cluster_worker.py": {"_allocate_as_at_home"},
 }
 # Of every remembered function the plain values that one call is made with.
 F32 = torch.float32

@@ -10,7 +10,8 @@ import torchprt
 
 PACKAGE = Path(torchprt.__file__).parent
 FLOORS = {
-    "errors": -2, "version": -2, "suffixes": -1, "words": -1, "files": 0, "memory": 0, "progress": 0, "checkpoint": 0,
+    "errors": -2, "version": -2, "lazily": -2, "suffixes": -1, "words": -1,
+    "files": 0, "memory": 0, "progress": 0, "checkpoint": 0,
     "sh": 1, "transfer": 1,
     "light": 2, "pose": 2, "brdf": 2, "compression": 2, "trace": 2,
     "scene": 3, "shade": 3,
@@ -21,7 +22,7 @@ FLOORS = {
 LEAN = {
     "pose": {"torch", "jaxtyping"},
     "sh": {"torch", "jaxtyping", "numpy", "scipy"},
-    "shade": {"torch", "jaxtyping", "kornia"},
+    "shade": {"torch", "jaxtyping"},
 }
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 

@@ -1,7 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy.integrate import lebedev_rule
 
 from torchprt import sh
 from torchprt.errors import InputError
@@ -35,6 +37,18 @@ def test_a_product_rule_is_not_exact_one_degree_further():
 def test_gives_the_next_larger_lebedev_rule(degree):
     larger = {4: 5, 7: 7, 33: 35}[degree]
     torch.testing.assert_close(sh.lebedev(degree), sh.lebedev(larger), atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("degree", range(3, 18, 2))
+def test_rules_of_low_degree_are_those_of_scipy(degree):
+    directions, weights = lebedev_rule(degree)
+    # In an order of their own.
+    theirs, ours = directions.T + 0.0, sh.lebedev(degree)[0].numpy()
+    one, other = np.lexsort(theirs.round(12).T), np.lexsort(ours.round(12).T)
+    assert ours.shape == theirs.shape
+    # Of a coordinate near 1/3 one unit in the last place.
+    np.testing.assert_allclose(ours[other], theirs[one], rtol=0, atol=2**-53)
+    assert np.array_equal(sh.lebedev(degree)[1].numpy()[other], weights[one])
 
 
 @pytest.mark.parametrize("count", [1, 2, 1000])

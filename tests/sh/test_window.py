@@ -2,9 +2,11 @@ import math
 
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from torchprt import sh
 from torchprt.errors import InputError
+from torchprt.sh.window import neighbours
 
 EPS = {torch.float32: 2**-23, torch.float64: 2**-52}
 
@@ -151,3 +153,11 @@ def test_with_a_kernel_what_it_gathers_is_nowhere_negative_and_the_window_is_wea
     assert (irradiance.amin(1) >= -1e-9 * irradiance.amax(1)).all()
     assert (factors[:, 1:] > sh.least_window(light)[1][:, 1:]).all()
     torch.testing.assert_close(result, sh.window(light, factors), atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("order", [1, 2, 5, 6, 7])
+def test_the_directions_around_each_are_those_that_a_tree_finds(order):
+    directions, _ = sh.fibonacci(64 * order**2)
+    _, nearest = cKDTree(directions.numpy()).query(directions.numpy(), k=9)
+    assert (nearest[:, 0] == range(len(directions))).all()
+    assert torch.equal(neighbours(directions), torch.from_numpy(nearest[:, 1:]))

@@ -3,7 +3,6 @@
 There need be no GPU for this: `one_device` has a device that is not the default one.
 """
 
-import kornia.color  # noqa: F401 - makes tensors of its own when it is first imported
 import pytest
 import torch
 from every_shader import asked, every_transfer, lights

@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from kornia.color import linear_rgb_to_rgb
 
 from torchprt.errors import InputError
 from torchprt.shade import agx, display, filmic, neutral, srgb, tone_mapped
@@ -212,3 +213,10 @@ def test_the_exposure_can_be_learned():
     display(torch.full((1, 3), 0.18), exposure=exposure).sum().backward()
     assert math.isfinite(exposure.grad)
     assert exposure.grad > 0
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_srgb_is_that_of_kornia(dtype):
+    planes = torch.linspace(0, 1, 3 * 1001, dtype=dtype).reshape(1, 3, -1, 1)
+    expected = linear_rgb_to_rgb(planes)[0, :, :, 0].mT
+    torch.testing.assert_close(srgb(planes[0, :, :, 0].mT), expected, rtol=2 * torch.finfo(dtype).eps, atol=0)

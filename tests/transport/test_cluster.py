@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import pickle
+import time
 
 import pytest
 import torch
@@ -195,3 +196,49 @@ def test_files_of_this_machine_are_a_folder_by_any_name(tmp_path):
     assert place_of(f"file://{tmp_path}/a%20b") == tmp_path / "a b"
     assert place_of("s3://bucket/a") == "s3://bucket/a"
     assert place_of(None) is None
+
+
+@dataclasses.dataclass(frozen=True)
+class Doubles(Task):
+    """Twice a number that is shared, and which."""
+
+    number: int = 0
+
+    def compute(self, shared):
+        return {"twice": 2 * shared.values, "number": torch.tensor([self.number])}
+
+
+class Numbers:
+    """Something to share."""
+
+    def __init__(self, values):
+        self.values = values
+
+
+def test_short_tasks_go_out_many_at_a_time_and_all_come_back_once(inside, monkeypatch):
+    batches = []
+    submit = inside.submit
+    monkeypatch.setattr(inside, "submit", lambda *given, **named: batches.append(given) or submit(*given, **named))
+    shared = Numbers(torch.arange(3.0))
+    found = list(Cluster(inside).map([Doubles(slice(0, 1), number) for number in range(300)], shared))
+    assert sorted(int(tensors["number"]) for _, tensors in found) == list(range(300))
+    assert all(task.number == int(tensors["number"]) for task, tensors in found)
+    assert all(torch.equal(tensors["twice"], 2 * shared.values) for _, tensors in found)
+    # A first one each and one more, then a quarter of what is left for each of two threads.
+    assert len(batches) < 60
+
+
+def test_workers_hold_what_lives_here_and_no_more(inside):
+    cluster = Cluster(inside)
+    first, second = Numbers(torch.ones(1)), Numbers(torch.zeros(1))
+    (sent,) = cluster.send((first,))
+    assert cluster.send((second, first))[1] is sent
+    key = sent.key
+    assert key in {key for each in inside.has_what().values() for key in each}
+    del first, sent
+    cluster.send((second,))
+    end = time.monotonic() + 20
+    while key in {key for each in inside.has_what().values() for key in each}:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert len(cluster._held.all) == 1

@@ -13,6 +13,7 @@ from typer.core import TyperCommand
 from torchprt.cli import options
 from torchprt.cli.report import complain, describe, say
 from torchprt.errors import InputError
+from torchprt.suffixes import MESHES, check_readable
 
 if TYPE_CHECKING:
     from torchprt.scene import Lightmap, Object, Scene
@@ -289,6 +290,10 @@ def scene_of(
         raise InputError(f"--ground-albedo is '{ground_albedo}', but there is no ground: give --ground too")
     if ground is not None and ground != LOWEST:
         (height,) = options.numbers(ground, 1, "--ground")
+    for name in (*(_own(each)[0] for each in meshes), *(blocker or ())):
+        # A file that is not there is told of before all that reads files is loaded.
+        if Path(name).suffix.lower() in MESHES:
+            check_readable(name)
     common = {"albedo": options.albedo(albedo), "material": options.surface(material, specular), "two_sided": two_sided}
     from torchprt.scene import Scene
 

@@ -29,6 +29,7 @@ from torchprt.cli.plan import plan
 from torchprt.cli.preview import preview
 from torchprt.cli.render import render
 from torchprt.cli.report import answer, complain, unheard
+from torchprt.cli.resting import resting
 from torchprt.cli.serve import serve
 from torchprt.cli.shade import shade
 from torchprt.cli.tradeoff import tradeoff
@@ -118,7 +119,7 @@ def main() -> None:
     """Runs the command. Faults of the input are one sentence on standard error and exit code 2."""
     before = os.environ.get(QUIET)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), resting():
             # Without the file and the line of the code that warns.
             warnings.showwarning = lambda message, *_, **__: None if quiet() else complain(message)
             app()

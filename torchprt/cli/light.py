@@ -22,9 +22,9 @@ def light(
     repair: Annotated[bool, typer.Option("--repair", help="Replace NaN and infinite pixels.")] = False,
 ) -> None:
     """Project an environment image to a light."""
-    from torchprt.light import write_coefficients
-
     check_writable(output, (".npy",))
     coefficients = light_of(image, order, repair)
+    from torchprt.light import write_coefficients
+
     write_coefficients(coefficients, output)
     say(f"{output}: order {order}, mean radiance {triple(coefficients[0] / math.sqrt(4 * math.pi))}")

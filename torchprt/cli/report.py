@@ -233,12 +233,12 @@ def _surface(layer: Layer) -> list[str]:
 
 def _clusters(transfer: Transfer, layer: Layer) -> list[str]:
     """What compression cost and how often triangles are drawn by engines that draw a cluster at a time."""
-    from torchprt.compression import overdraw
-    from torchprt.compression.transfer import faces_between
-
     parts, about = layer.signal.tensors(), layer.signal.metadata()
     if "label" not in parts:
         return []
+    from torchprt.compression import overdraw
+    from torchprt.compression.transfer import faces_between
+
     clusters, vectors = len(parts["mean"]), len(parts["basis"])
     lost = f"compression error {about['compression_error'] or 0:.2%} (relative RMS)"
     if about["method"] == "D3DX":

@@ -323,14 +323,14 @@ def _with_mirrors(
 ) -> tuple[Tracer, Mirrors | None]:
     """A tracer of the model and, after its faces, of the mirrors."""
     if mirrors is None:
-        return Tracer(positions, faces), None
+        return Tracer(positions, faces, few=True), None
     places, normals, reflectance, corners = mirrors
     kinds, number = torch.unique(reflectance[corners[:, 0].long()], dim=0, return_inverse=True)
     of_faces = torch.cat([torch.full((len(faces),), -1), number])
     smooth = torch.cat([torch.zeros(len(positions), 3), normals.float()])
     everything = torch.cat([positions.double(), places.double()])
     shown = torch.cat([faces.long(), corners.long() + len(positions)])
-    return Tracer(everything, shown), Mirrors(of_faces, kinds, smooth)
+    return Tracer(everything, shown, few=True), Mirrors(of_faces, kinds, smooth)
 
 
 def _pattern(count: int) -> tuple[Float[Tensor, "S"], Float[Tensor, "S"]]:

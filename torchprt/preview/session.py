@@ -325,7 +325,7 @@ class Session:
     def pick(self, x: float | int, y: float | int, width: int, height: int) -> str:
         """Picks the vertex nearest to what is seen at a point of the window; none where nothing is seen."""
         if self._tracer is None or self._traced is not self.positions:
-            self._tracer, self._traced = Tracer(self.positions, self.faces), self.positions
+            self._tracer, self._traced = Tracer(self.positions, self.faces, few=True), self.positions
         ray = self.camera.through(torch.tensor([[x]]).double(), torch.tensor([[y]]).double(), width, height)
         hit = self._tracer.camera(self.eye, ray)
         triangle = int(hit.triangle)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchprt.errors import InputError
+from torchprt.sh.lebedev_rules import low_rule
 
 # The degrees for which Lebedev and Laikov (1999) published rules with the symmetry of the octahedron.
 _LEBEDEV_DEGREES = (*range(3, 32, 2), *range(35, 132, 6))
@@ -55,10 +56,14 @@ def lebedev(degree: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tens
         raise InputError(
             f"Lebedev rules exist for degrees 0 to 131, not {degree}: use gauss_legendre, which has no limit"
         )
-    from scipy.integrate import lebedev_rule
+    published = next(d for d in _LEBEDEV_DEGREES if d >= degree)
+    rule = low_rule(published)
+    if rule is None:
+        from scipy.integrate import lebedev_rule
 
-    directions, weights = lebedev_rule(next(d for d in _LEBEDEV_DEGREES if d >= degree))
-    return torch.tensor(directions.T.copy(), dtype=dtype), torch.tensor(weights, dtype=dtype)
+        directions, weights = lebedev_rule(published)
+        rule = directions.T.copy(), weights
+    return torch.tensor(rule[0], dtype=dtype), torch.tensor(rule[1], dtype=dtype)
 
 
 def fibonacci(count: int, dtype: torch.dtype = torch.float64) -> tuple[Float[Tensor, "D 3"], Float[Tensor, " D"]]:

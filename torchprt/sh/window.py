@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchprt.errors import InputError
@@ -16,6 +16,8 @@ from torchprt.sh.zonal import convolve
 # The search for the lowest value: directions per coefficient, valleys followed, and how each is closed in on.
 _DENSITY, _VALLEYS, _STEPS, _SHRINK = 64, 8, 12, 0.4
 _BISECTIONS = 30
+# Directions that are compared each with each: those of order 6, in 42 MB.
+_FEW = _DENSITY * 6 * 6
 
 
 def hann(order: int, width: float | int | None = None, dtype: torch.dtype = torch.float64) -> Float[Tensor, " n"]:
@@ -140,11 +142,19 @@ def _descend(coefficients: Tensor, start: Tensor, reach: float) -> Tensor:
 
 @remembered(8)
 def _search_set(order: int) -> tuple[Tensor, Tensor, Tensor]:
+    directions, _ = fibonacci(_DENSITY * order * order)
+    return directions, basis(directions, order).contiguous(), neighbours(directions)
+
+
+def neighbours(directions: Float[Tensor, "D 3"]) -> Int[Tensor, "D 8"]:
+    """The numbers of the eight directions nearest to each, the nearest first."""
+    if len(directions) <= _FEW:
+        # Sooner done than a tree is loaded. The nearest of all is the direction itself.
+        return (directions @ directions.mT).topk(9).indices[:, 1:].contiguous()
     from scipy.spatial import cKDTree
 
-    directions, _ = fibonacci(_DENSITY * order * order)
-    _, neighbours = cKDTree(directions.numpy()).query(directions.numpy(), k=9)
-    return directions, basis(directions, order).contiguous(), torch.from_numpy(neighbours[:, 1:].copy())
+    _, nearest = cKDTree(directions.numpy()).query(directions.numpy(), k=9)
+    return torch.from_numpy(nearest[:, 1:].copy())
 
 
 def _bands_and_width(order: int, width: float | int | None, dtype: torch.dtype) -> tuple[Tensor, float]:

@@ -91,10 +91,9 @@ def filmic(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
 
 def srgb(radiance: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     """Linear RGB to sRGB (IEC 61966-2-1). Values outside [0, 1] are clipped to what a screen can show."""
-    from kornia.color import linear_rgb_to_rgb
-
-    planes = torch.clamp(radiance, 0, 1).movedim(-1, 0).reshape(1, 3, -1, 1)
-    return linear_rgb_to_rgb(planes).reshape(3, *radiance.shape[:-1]).movedim(0, -1)
+    x = torch.clamp(radiance, 0, 1)
+    # Below the knee the power is not used, and its slope must not be infinite.
+    return torch.where(x > 0.0031308, 1.055 * x.clamp(min=0.0031308) ** (1 / 2.4) - 0.055, 12.92 * x)
 
 
 def linear(values: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:

@@ -86,9 +86,10 @@ def engine(name: str) -> Make:
         raise InputError(f"the engine '{name}' for rays cannot run here: {fault}") from fault
 
 
-def chosen() -> str:
+def chosen(few: bool = False) -> str:
     """The name of the engine that tracers take: what the environment variable TORCHPRT_ENGINE says, or "packets" if
-    the extra `fast` is installed, else "embreex".
+    the extra `fast` is installed, else "embreex". For `few` rays, as of a picture, it is "embreex": packets take longer
+    to load than they save.
 
     Warns with an EngineWarning, once, if packets are installed and do not fit this machine.
     """
@@ -96,7 +97,7 @@ def chosen() -> str:
     if asked:
         engine(asked)
         return asked
-    return _fastest()
+    return "embreex" if few else _fastest()
 
 
 @functools.cache

@@ -45,11 +45,19 @@ class Tracer:
     Embree runs in robust mode: no ray slips through a shared edge. Thread-safe, without the GIL while it traces.
     Pickles as its geometry and the name of its `engine`, of those of `engines.py`; where that cannot run InputError is
     raised, because rays that meet a triangle at its very edge may end elsewhere with another.
+    `few`: that few rays will be traced, by which an engine is chosen where none is given.
     Source of the offset: Waechter and Binder, Ray Tracing Gems 1, chapter 6.
     """
 
-    def __init__(self, positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], engine: str | None = None):
-        self.engine = engine or chosen()
+    def __init__(
+        self,
+        positions: Float[Tensor, "V 3"],
+        faces: Int[Tensor, "F 3"],
+        engine: str | None = None,
+        *,
+        few: bool = False,
+    ):
+        self.engine = engine or chosen(few)
         self._positions = positions.detach().to("cpu", torch.float64)
         self._faces = faces.detach().to("cpu", torch.int32).contiguous()
         if len(self._faces) == 0:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import functools
 import inspect
 import itertools
 import logging
+import math
 import pickle
 import queue
 import re
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-import safetensors.torch
 from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.transport import cluster_worker as worker
 from torchprt.transport.cluster_worker import Shared
+from torchprt.transport.held import Held
 from torchprt.transport.stages import Kept
 from torchprt.transport.task import Results, T
 
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 # Seconds that a cluster may take to answer, and that a bake goes on without any worker.
 ANSWER, ALONE = 10.0, 60.0
+# Seconds of a worker, and bytes of results, that are sent and lost together. What is left is cut finer, so that all end
+# at about the same time.
+SPAN, BATCH_BYTES = 0.5, 1 << 24
 # How often what all workers lost is sent again while no task ends.
 _TRIES = 10
 _GO_ON = "the same command goes on from what its checkpoint keeps"
@@ -44,9 +49,10 @@ class Cluster:
         with distributed.Client("tcp://10.0.0.1:8786") as client:
             transfer = bake(scene, on=client, checkpoint="s3://bucket/bake")
 
-    The same bits as threads. What tasks share is sent once to each worker, which holds it until it changes and builds
-    Embree's tree for itself. A worker that dies loses the chunks that it has; others compute them. Two tasks a thread
-    of a worker are in flight, so that the scheduler never knows more.
+    The same bits as threads. What tasks share is sent once to each worker, which holds it as long as it lives here and
+    builds Embree's tree for itself. Tasks go out some at a time, as many as take `SPAN` seconds, because each that the
+    scheduler knows costs it milliseconds; two such batches a thread of a worker are in flight. A worker that dies loses
+    the batches that it has; others compute them.
 
     Raises InputError if the cluster has no workers, or one that has no torchprt or other versions of it, of torch,
     numpy or embreex, or other instructions of its processor, which round otherwise; in `map` if workers do not reach
@@ -57,7 +63,7 @@ class Cluster:
         if client.asynchronous:
             raise InputError("the client of the cluster is asynchronous: give one that is not")
         self._client = client
-        self._sent: list[tuple[object, Future]] = []
+        self._held: Held[Future] = Held()
         self._seen: Results | None = None
         self._wanted = worker.versions()
         self.check()
@@ -92,25 +98,23 @@ class Cluster:
 
     def map(self, tasks: Iterable[T], *shared: object) -> Generator[tuple[T, dict[str, Tensor]], None, None]:
         """As `Runner.map`."""
-        waiting = iter(tasks)
-        first = next(waiting, None)
-        if first is None:
+        waiting = list(tasks)
+        if not waiting:
             return
-        with self._told(first.store if isinstance(first, Kept) else None):
-            for store in (*((first.store,) if isinstance(first, Kept) else ()), *shared):
+        stores = [each.store for each in waiting[:1] if isinstance(each, Kept)]
+        with self._told(stores[0] if stores else None):
+            for store in (*stores, *shared):
                 if isinstance(store, Results):
                     self._check_store(store)
-            flight = _Flight(self, itertools.chain([first], waiting), shared)
-            with contextlib.closing(flight.results()) as results:
+            with contextlib.closing(_Flight(self, waiting, shared).results()) as results:
                 yield from results
 
     def send(self, shared: tuple[object, ...], anew: bool = False) -> list[Future]:
-        """What is shared, at all workers. What was sent before and is not among it is forgotten there."""
-        before, self._sent = ([] if anew else self._sent), []
-        for thing in shared:
-            known = [future for other, future in before if other is thing]
-            self._sent.append((thing, known[0] if known else self._scatter(thing)))
-        return [future for _, future in self._sent]
+        """What is shared, at all workers; what lives here no more is forgotten there."""
+        if anew:
+            self._held.forget()
+        self._held.gone()
+        return [self._held.of(thing, self._scatter) for thing in shared]
 
     def wait(self) -> int:
         """The threads of all workers; waits if there are none, but not for ever: then it raises InputError."""
@@ -126,10 +130,10 @@ class Cluster:
     def _scatter(self, thing: object) -> Future:
         try:
             # Here, and not in Dask, whose words are many.
-            packed = pickle.dumps((thing, None), pickle.HIGHEST_PROTOCOL)
+            packed = pickle.dumps(thing, pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as fault:
             raise InputError(f"the scene cannot be sent to other machines ({fault}): bake with threads") from fault
-        shared = Shared(thing, packed=packed)
+        shared = Shared(packed)
         for tries in itertools.count(1):
             try:
                 return self._client.scatter(shared, broadcast=True, hash=False)
@@ -197,43 +201,57 @@ class Cluster:
 
 
 class _Flight:
-    """The tasks of one `map` that workers have."""
+    """The tasks of one `map`, and the batches of them that workers have."""
 
-    def __init__(self, cluster: Cluster, tasks: Iterator[Any], shared: tuple[object, ...]):
-        self._cluster, self._tasks, self._shared = cluster, tasks, shared
+    def __init__(self, cluster: Cluster, tasks: Sequence[Any], shared: tuple[object, ...]):
+        self._cluster, self._tasks, self._shared = cluster, collections.deque(tasks), shared
         self._futures = cluster.send(shared)
-        self._pending: dict[Future, Any] = {}
+        self._pending: dict[Future, list[Any]] = {}
         self._ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
-        self._most, self._counted, self._lost = 0, 0.0, 0
+        self._threads, self._counted, self._lost = 0, 0.0, 0
+        # Of what has ended: tasks, seconds of workers, bytes of results.
+        self._done, self._seconds, self._bytes = 0, 0.0, 0
 
     def results(self) -> Generator[tuple[Any, dict[str, Tensor]], None, None]:
         """As `Runner.map`."""
         self._count()
         try:
             while True:
-                while len(self._pending) < self._most and (task := next(self._tasks, None)) is not None:
-                    self._submit(task)
+                # Few in flight: the next of each thread, whose results must not pile up behind a slow consumer.
+                while self._tasks and len(self._pending) < 2 * self._threads:
+                    self._submit([self._tasks.popleft() for _ in range(self._size())])
                 if not self._pending:
                     return
                 for future in self._next():
                     if future.status == "error":
                         raise future.exception()
                     packed = self._gathered(future)
-                    task = self._pending.pop(future)
+                    tasks = self._pending.pop(future)
                     if packed is None:
-                        self._again(task)
+                        self._again(tasks)
                         continue
                     self._lost = 0
                     future.release()
-                    yield task, safetensors.torch.load(packed)
+                    results, seconds = worker.unpacked(packed, len(tasks))
+                    self._done, self._seconds = self._done + len(tasks), self._seconds + seconds
+                    self._bytes += len(packed)
+                    yield from zip(tasks, results, strict=True)
         finally:
             self._end()
 
-    def _submit(self, task: Any) -> None:
-        key = f"bake-{type(getattr(task, 'task', task)).__name__.lower()}-{uuid.uuid4().hex}"
+    def _size(self) -> int:
+        """Tasks of the next batch."""
+        if not self._done:
+            return 1
+        fit = min(SPAN * self._done / max(self._seconds, 1e-9), BATCH_BYTES * self._done / max(self._bytes, 1))
+        share = math.ceil(len(self._tasks) / (4 * self._threads))
+        return max(1, min(int(fit), share, len(self._tasks)))
+
+    def _submit(self, tasks: list[Any]) -> None:
+        key = f"bake-{type(getattr(tasks[0], 'task', tasks[0])).__name__.lower()}-{uuid.uuid4().hex}"
         client, wanted = self._cluster.client, self._cluster.wanted
-        future = client.submit(worker.run, wanted, task, *self._futures, key=key, pure=False)
-        self._pending[future] = task
+        future = client.submit(worker.run, wanted, pickle.dumps(tasks), *self._futures, key=key, pure=False)
+        self._pending[future] = tasks
         future.add_done_callback(self._ended.put)
 
     def _next(self) -> list[Any]:
@@ -251,24 +269,23 @@ class _Flight:
                 return found
 
     def _gathered(self, future: Future) -> bytes | None:
-        """What a task gave, or None if it was lost with what it needs."""
+        """What tasks gave, or None if it was lost with what they need."""
         try:
             return future.result()
         except CancelledError:
             return None
 
-    def _again(self, task: Any) -> None:
+    def _again(self, tasks: list[Any]) -> None:
         """Every worker that held what tasks share is gone."""
         self._lost += 1
-        if not self._cluster.alive or self._lost > _TRIES * self._most:
+        if not self._cluster.alive or self._lost > 2 * _TRIES * self._threads:
             raise CancelledError("lost")
         if any(future.status != "finished" for future in self._futures):
             self._futures = self._cluster.send(self._shared, anew=True)
-        self._submit(task)
+        self._submit(tasks)
 
     def _count(self) -> None:
-        # Few in flight: the next of each thread, whose results must not pile up behind a slow consumer.
-        self._most, self._counted = 2 * self._cluster.wait(), time.monotonic()
+        self._threads, self._counted = self._cluster.wait(), time.monotonic()
 
     def _end(self) -> None:
         """Drops what waits, and lets what runs be finished and kept."""

@@ -3,49 +3,56 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ctypes
+import functools
 import importlib.metadata
 import pickle
 import signal
 import threading
+import time
 from typing import Any
 
 import safetensors.torch
 import torch
+from torch import Tensor
 
 from torchprt.errors import InputError
-from torchprt.transport.task import Results, Task
+from torchprt.transport.task import Results
 from torchprt.transport.workers import torch_on_one_thread
 from torchprt.version import VERSION
 
+_SECONDS = "seconds"
+# Of glibc's malloc.h, and the values that it comes to by itself.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+
 
 class Shared:
-    """Something that the tasks of a stage share, made anew once where it arrives: Embree's tree is built then.
+    """Something that the tasks of a stage share, pickled. It is made anew once, where a task first needs it: Embree's
+    tree is built then, and what cannot be made is told by that task, since a connection can only break."""
 
-    What cannot be made there is told by the first task that needs it, since a connection can only break.
-    `packed`: as it goes on its way, where that is known.
-    """
-
-    def __init__(self, thing: object, fault: Exception | None = None, packed: bytes | None = None):
-        self._thing, self._fault, self._packed = thing, fault, packed
+    def __init__(self, packed: bytes):
+        self._packed: bytes | None = packed
+        self._thing: Any = None
+        self._lock = threading.Lock()
 
     @property
     def thing(self) -> Any:
         """What was sent."""
-        if self._fault is not None:
-            raise self._fault
-        return self._thing
+        with self._lock:
+            if self._packed is not None:
+                self._thing = pickle.loads(self._packed)
+                # Not held twice.
+                self._packed = None
+            return self._thing
 
-    def __reduce__(self) -> tuple[Any, tuple[pickle.PickleBuffer]]:
-        # Workers hand it on to each other, as it was sent to them.
-        packed = self._packed or pickle.dumps((self._thing, self._fault), pickle.HIGHEST_PROTOCOL)
-        return _arrived, (pickle.PickleBuffer(packed),)
-
-
-def _arrived(packed: bytes) -> Shared:
-    try:
-        return Shared(*pickle.loads(packed))
-    except Exception as fault:
-        return Shared(None, fault)
+    def __reduce__(self) -> tuple[type[Shared], tuple[pickle.PickleBuffer]]:
+        # Workers hand it on to each other, most of them before they need it.
+        with self._lock:
+            packed = self._packed
+            if packed is None:
+                packed = pickle.dumps(self._thing, pickle.HIGHEST_PROTOCOL)
+        return Shared, (pickle.PickleBuffer(packed),)
 
 
 class _Busy:
@@ -67,15 +74,45 @@ class _Busy:
 _busy = _Busy()
 
 
-def run(wanted: dict[str, str], task: Task, *shared: Shared) -> bytes:
-    """The tensors of a task as bytes, if this worker has the versions that are `wanted`."""
+def run(wanted: dict[str, str], tasks: bytes, *shared: Shared) -> bytes:
+    """What the pickled list of `tasks` gives, for `unpacked`, if this worker has the versions that are `wanted`."""
     differences = different(wanted, versions())
     if differences:
         from distributed import get_worker
 
         raise InputError(refused(get_worker().address, differences))
+    _allocate_as_at_home()
     with _busy, torch_on_one_thread():
-        return safetensors.torch.save(task(*(each.thing for each in shared)))
+        things = [each.thing for each in shared]
+        start = time.perf_counter()
+        found = {
+            f"{number}.{name}": tensor
+            for number, task in enumerate(pickle.loads(tasks))
+            for name, tensor in task(*things).items()
+        }
+        found[_SECONDS] = torch.tensor(time.perf_counter() - start, dtype=torch.float64)
+        return safetensors.torch.save(found)
+
+
+@functools.cache
+def _allocate_as_at_home() -> None:
+    """Dask has workers give all memory back that they free, and each task waits for the system to zero it again. What
+    glibc does by itself keeps as much as a task uses."""
+    with contextlib.suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        for name, value in ((_M_MMAP_THRESHOLD, 1 << 25), (_M_TRIM_THRESHOLD, 1 << 26)):
+            mallopt(name, value)
+
+
+def unpacked(packed: bytes, count: int) -> tuple[list[dict[str, Tensor]], float]:
+    """The tensors of each of `count` tasks by name, and how many seconds they took together."""
+    found = safetensors.torch.load(packed)
+    seconds = float(found.pop(_SECONDS))
+    results: list[dict[str, Tensor]] = [{} for _ in range(count)]
+    for key, tensor in found.items():
+        number, name = key.split(".", 1)
+        results[int(number)][name] = tensor
+    return results, seconds
 
 
 async def finished() -> None:

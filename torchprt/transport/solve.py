@@ -108,8 +108,10 @@ def solve(job: Job, albedo: Float[Tensor, "V D"], bounces: int | float, stages: 
     total = in_channels(direct, job.channels * columns // direct.shape[1], tables)
     # Of all that has arrived: it is linear, so that every bounce asks for its own alone.
     leaving = gone = job.through(total, stages)
-    count = 0
+    count, sent = 0, None
     while count < bounces:
+        # Nobody gathers from it any more.
+        sent = None
         exitant = exit_radiance(gone, albedo, columns, tables)
         first = gone is leaving
         added = tables.empty(*total.shape)

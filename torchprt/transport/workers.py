@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 from torchprt.files import no_temporary, temporary_folder
+from torchprt.transport.held import Held
 from torchprt.transport.task import R, T, Task
 
 P = TypeVar("P", bound="_Pool")
@@ -87,33 +88,24 @@ class Processes(_Pool):
     def __init__(self, count: int):
         super().__init__(count, ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start))
         self._folder = temporary_folder()
-        self._sent: list[tuple[object, Path]] = []
+        self._held: Held[Path] = Held()
         self._number = itertools.count()
 
     def __exit__(self, *fault: object) -> None:
         super().__exit__(*fault)
-        self._sent = []
+        self._held.forget()
         self._folder.cleanup()
 
     def map(self, tasks: Iterable[T], *shared: object) -> Generator[tuple[T, dict[str, Tensor]], None, None]:
         """As `Runner.map`."""
-        paths = self._send(shared)
-        running = _as_they_come(lambda task: self._pool.submit(_run, task, paths), tasks, self.count + 1)
+        for path in self._held.gone():
+            path.unlink()
+        paths = [self._held.of(thing, self._write) for thing in shared]
+        held = frozenset(self._held.all)
+        running = _as_they_come(lambda task: self._pool.submit(_run, task, paths, held), tasks, self.count + 1)
         with contextlib.closing(running):
             for task, packed in running:
                 yield task, safetensors.torch.load(packed)
-
-    def _send(self, shared: tuple[object, ...]) -> list[Path]:
-        """Files of what is shared. Those of earlier calls that it is not among are removed."""
-        before, self._sent = self._sent, []
-        for thing in shared:
-            known = [path for other, path in before if other is thing]
-            self._sent.append((thing, known[0] if known else self._write(thing)))
-        paths = [path for _, path in self._sent]
-        for _, path in before:
-            if path not in paths:
-                path.unlink()
-        return paths
 
     def _write(self, thing: object) -> Path:
         path = Path(self._folder.name) / f"{next(self._number)}.pickle"
@@ -166,9 +158,9 @@ def _end_with_parent() -> None:
 _held: dict[Path, object] = {}
 
 
-def _run(task: Task, paths: list[Path]) -> bytes:
+def _run(task: Task, paths: list[Path], held: frozenset[Path]) -> bytes:
     """In a process: the tensors of a task as bytes; what is shared is read when it first comes."""
-    for path in _held.keys() - set(paths):
+    for path in _held.keys() - held:
         del _held[path]
     for path in paths:
         if path not in _held:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchprt.errors import InputError
 
-from ..height_field import height_field
+from ..height_fields import height_field
 from ..mesh import Mesh
 
 
