@@ -9,6 +9,7 @@ clusters of them. TORCHPRT_DATA names a folder with mesh/bunny.ply; without it a
 
 import asyncio
 import contextlib
+import ctypes
 import datetime
 import json
 import os
@@ -23,11 +24,13 @@ from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import distributed
 import psutil
 import torch
 
+import torchprt.transport.cluster
 from torchprt.scene import Scene, load, make_mesh, samples
 from torchprt.transport import Cluster, bake
 from torchprt.transport.cluster import connected
@@ -64,18 +67,19 @@ class Nothing(Task):
         return {"nothing": torch.zeros(self.size, dtype=torch.uint8)}
 
 
-def _of_worker(dask_worker: Any) -> tuple[float, float]:
-    """CPU seconds of a worker: of its process, and of that of tasks."""
+def _of_worker(dask_worker: Any) -> tuple[float, float, float]:
+    """CPU seconds of a worker, of its process and of that of tasks, and how many tasks of Dask it has run."""
     tasks = sum(
         seconds
         for key, seconds in dask_worker.digests_total.items()
         if isinstance(key, tuple) and key[0] == "execute" and key[-2:] == ("thread-cpu", "seconds")
     )
-    return time.process_time(), tasks
+    return time.process_time(), tasks, dask_worker.state.executed_count
 
 
 def _held(dask_worker: Any) -> int:
-    """Bytes that a worker holds in memory of its own."""
+    """Bytes that a worker holds in memory of its own, without those that it has freed and keeps for the next time."""
+    ctypes.CDLL(None).malloc_trim(0)
     return 1024 * int(re.search(r"RssAnon:\s+(\d+)", Path("/proc/self/status").read_text())[1])  # type: ignore[index]
 
 
@@ -83,6 +87,12 @@ def _machine_seconds() -> float:
     """CPU seconds that anyone on this machine, and on that which it is part of, has had."""
     times = psutil.cpu_times()
     return sum(getattr(times, name, 0.0) for name in ("user", "nice", "system", "irq", "softirq", "steal"))
+
+
+def _our_seconds() -> float:
+    """CPU seconds of this process and of those that it started, once they have ended."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 @dataclass
@@ -94,21 +104,22 @@ class Clock:
     scheduler: float
     workers: float
     tasks: float
+    batches: float
     machine: float
 
     @classmethod
     def now(cls, client: distributed.Client) -> "Clock":
         of_workers = list(client.run(_of_worker).values())
         scheduler = client.run_on_scheduler(time.process_time)
-        process, tasks = (sum(each) for each in zip(*of_workers, strict=True))
-        return cls(time.perf_counter(), time.process_time(), scheduler, process, tasks, _machine_seconds())
+        process, tasks, batches = (sum(each) for each in zip(*of_workers, strict=True))
+        return cls(time.perf_counter(), time.process_time(), scheduler, process, tasks, batches, _machine_seconds())
 
     def __sub__(self, other: "Clock") -> "Clock":
         return Clock(*(mine - yours for mine, yours in zip(vars(self).values(), vars(other).values(), strict=True)))
 
 
 class Measuring:
-    """A cluster as a runner that notes of each stage what it costs: what is sent first, then the tasks."""
+    """A cluster as a runner that notes what each stage costs: what is sent and made anew first, then the tasks."""
 
     def __init__(self, cluster: Cluster):
         self._cluster, self._known = cluster, list[object]()
@@ -121,32 +132,46 @@ class Measuring:
         sent = sum(len(pickle.dumps(each)) for each in shared if not any(each is other for other in self._known))
         self._known = list(shared)
         before = Clock.now(client)
-        self._cluster.send(shared)
+        futures = self._cluster.send(shared)
+        wall_of_sending = time.perf_counter() - before.wall
         middle, back = Clock.now(client), 0
+        made_anew(client, futures)
+        made = Clock.now(client)
         for task, found in self._cluster.map(tasks, *shared):
             back += sum(each.nbytes for each in found.values())
             yield task, found
         ended = time.perf_counter()
-        sending, running = middle - before, Clock.now(client) - middle
+        running = Clock.now(client) - made
         self.inside += time.process_time() - entered
         count, receivers = len(tasks), sum(task.count for task in tasks)
         self.stages.append(
             {
-                "wall seconds": ended - middle.wall,
+                "wall seconds": ended - made.wall,
                 # Whoever else uses the machine: where it is much, seconds of a clock say little.
                 "seconds of others": max(0.0, running.machine - running.client - running.scheduler - running.workers),
+                "chunks": float(count),
+                "batches": running.batches,
                 "task seconds a receiver": running.tasks / receivers,
                 "worker seconds a chunk": (running.workers - running.tasks) / count,
                 "scheduler seconds a chunk": running.scheduler / count,
                 "client seconds a chunk": running.client / count,
                 "bytes sent": float(sent),
                 "bytes back a receiver": back / receivers,
-                "wall seconds of sending": sending.wall,
-                "client seconds of sending": sending.client,
-                "scheduler seconds of sending": sending.scheduler,
-                "worker seconds of arrival": sending.workers / len(client.nthreads()),
+                "wall seconds of sending": wall_of_sending,
+                "worker seconds of arrival": (made - middle).workers / len(client.nthreads()),
             }
         )
+
+
+def _made(*shared: Any) -> None:
+    for each in shared:
+        _ = each.thing
+
+
+def made_anew(client: distributed.Client, futures: list[Any]) -> None:
+    """What is shared, at every worker, as its first task would have it made."""
+    everywhere = [client.submit(_made, *futures, workers=[worker], pure=False) for worker in client.nthreads()]
+    client.gather(everywhere)
 
 
 @contextlib.contextmanager
@@ -193,7 +218,7 @@ class Holding:
     def map(self, tasks: Iterable[Task], *shared: object) -> Generator[tuple[Any, Any], None, None]:
         client = self._cluster.client
         before = client.run(_held)
-        self._cluster.send(shared)
+        made_anew(client, self._cluster.send(shared))
         self.grown += [float(each - before[worker]) for worker, each in client.run(_held).items()]
         yield from self._cluster.map(tasks, *shared)
 
@@ -249,7 +274,8 @@ def tasks_that_do_nothing() -> dict[str, Any]:
     """What a task costs the scheduler and the client, by how many workers there are; and what a byte of its result."""
     of_scheduler, of_client, of_byte = {}, {}, {}
     for count in LOOKED_AFTER:
-        with cluster(count, real=False) as workers:
+        # One task at a time, as if it took long: what is looked for is what each that the scheduler knows costs.
+        with cluster(count, real=False) as workers, mock.patch.object(torchprt.transport.cluster, "SPAN", 0.0):
             shared = torch.zeros(1)
             _nothing(workers, 100, 0, shared)
             tasks = max(500, 5 * count)
@@ -264,8 +290,9 @@ def tasks_that_do_nothing() -> dict[str, Any]:
     return {
         "scheduler seconds a task by workers": of_scheduler,
         "client seconds a task by workers": of_client,
+        "client seconds a task": of_client[WORKERS],
         "scheduler seconds a task": start,
-        "scheduler seconds a task a worker": slope,
+        "scheduler seconds a task a worker": max(0.0, slope),
         "seconds a byte of results": of_byte,
     }
 
@@ -293,7 +320,7 @@ def spreads(rows: list[dict[str, float]]) -> dict[str, dict[str, float]]:
 
 
 def main(file: Path) -> None:
-    load_before, start = os.getloadavg()[0], time.perf_counter()
+    start, ours, everyone = time.perf_counter(), _our_seconds(), _machine_seconds()
     name, what = scene()
     receivers = what.geometry().receivers
     found: dict[str, Any] = {
@@ -301,12 +328,14 @@ def main(file: Path) -> None:
         "machine": _machine(),
         "workers": WORKERS,
         "repeats": REPEATS,
-        "load before": load_before,
     }
     found |= bakes(what)
     found["memory"] = memory(what)
     found["tasks"] = tasks_that_do_nothing()
     found["seconds that this took"] = time.perf_counter() - start
+    # Where that is much, CPU seconds are more than they would be, and those of a clock say nothing.
+    others = _machine_seconds() - everyone - (_our_seconds() - ours)
+    found["share of others"] = max(0.0, others) / found["seconds that this took"] / (os.cpu_count() or 1)
     file.write_text(json.dumps(_rounded(found), indent=1) + "\n")
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,10 @@ LINK = 10e9 / 8
 GETS, PUTS, ONE_REQUEST = 5500.0, 3500.0, 85e6
 # Workers that get a copy from each that has one, a round: `branching_factor` of Dask's `Scheduler.replicate`.
 BRANCHES = 2
+# Processes that what is shared comes to one after the other where there are two workers: the scheduler and both.
+HOPS = 3
+# Seconds and bytes of results that go together, as in `torchprt.transport.cluster`.
+SPAN, BATCH_BYTES = 0.5, 1 << 24
 # Cores and bytes of memory of a machine, as usual ones of clouds have: 4 GiB a core.
 CORES, MEMORY = 8, 32 * 2**30
 
@@ -34,28 +39,28 @@ CORES, MEMORY = 8, 32 * 2**30
 class Costs:
     """What parts of a bake cost, in CPU seconds and bytes, at 1024 rays and order 5 where it depends on these."""
 
-    trace: float  # a receiver
-    trace_and_keep: float
-    bounce: float
-    worker: dict[str, float]  # a chunk, beside the task
-    scheduler: dict[str, float]  # a task
-    scheduler_per_worker: float  # a task, and worker beyond two
-    scheduler_per_byte: float
-    client: dict[str, float]  # a task
+    task: dict[str, float]  # a receiver, by stage: "trace", "trace and keep", "bounce"
+    worker: dict[str, float]  # a chunk, beside its task
+    client: dict[str, float]  # a chunk, beside its batch
+    client_batch: float
     client_alone: float  # a receiver, outside of all stages
-    arrival: float  # a receiver, on each worker: the scene is read and Embree's tree built
+    scheduler_batch: float
+    scheduler_batch_worker: float  # a batch, and worker beyond two
+    scheduler_byte: float
+    arrival: float  # a receiver, at each worker: the scene is made anew, and Embree's tree
     exit_arrival: float
     scene: float  # bytes a receiver
     exitant: float
     results: float
     hits: float
     held: float  # bytes a receiver in the memory of a worker
+    hop: float  # seconds a byte of what is shared from one process to the next, without a cable
 
     @classmethod
     def read(cls, file: Path = HERE / "measured.json") -> Costs:
         """Those that `measure.py` wrote."""
         found = json.loads(file.read_text())
-        count, stages = found["scene"]["receivers"], found["stages"]
+        count, stages, tasks = found["scene"]["receivers"], found["stages"], found["tasks"]
 
         def of(stage: str, name: str) -> float:
             return stages[stage][name]["median"]
@@ -63,16 +68,17 @@ class Costs:
         def each(name: str) -> dict[str, float]:
             return {stage: of(stage, name) for stage in stages}
 
+        batch = tasks["client seconds a task"]["median"]
+        share = {stage: of(stage, "batches") / of(stage, "chunks") for stage in stages}
         return cls(
-            trace=of("trace", "task seconds a receiver"),
-            trace_and_keep=of("trace and keep", "task seconds a receiver"),
-            bounce=of("bounce", "task seconds a receiver"),
+            task=each("task seconds a receiver"),
             worker=each("worker seconds a chunk"),
-            scheduler=each("scheduler seconds a chunk"),
-            scheduler_per_worker=found["tasks"]["scheduler seconds a task a worker"],
-            scheduler_per_byte=found["tasks"]["seconds a byte of results"]["scheduler"]["median"],
-            client=each("client seconds a chunk"),
+            client={s: max(0.0, found - share[s] * batch) for s, found in each("client seconds a chunk").items()},
+            client_batch=batch,
             client_alone=found["client seconds a receiver"]["median"],
+            scheduler_batch=tasks["scheduler seconds a task"],
+            scheduler_batch_worker=tasks["scheduler seconds a task a worker"],
+            scheduler_byte=tasks["seconds a byte of results"]["scheduler"]["median"],
             arrival=of("trace", "worker seconds of arrival") / count,
             exit_arrival=of("bounce", "worker seconds of arrival") / count,
             scene=of("trace", "bytes sent") / count,
@@ -80,6 +86,7 @@ class Costs:
             results=of("trace", "bytes back a receiver"),
             hits=found["store"]["bytes a receiver"]["median"],
             held=found["memory"]["bytes a receiver"]["median"],
+            hop=of("trace", "wall seconds of sending") / of("trace", "bytes sent") / HOPS,
         )
 
 
@@ -92,14 +99,12 @@ class Cluster:
     store: float = LINK
     cores: int = CORES
     shared_cores: float = math.inf  # that workers, scheduler and client have all together, on one machine
-    chunks_a_task: int = 1
+    span: float = SPAN
     threads: int = 1  # of a process, which has one copy of the scene
-    pass_on_first: bool = False  # before the tree is built, not after
     results_to_store: bool = False
     object_store: bool = False
     schedulers: int = 1
     client_cores: int = 1
-    scene_kept: bool = False  # at the workers, until the bake is done
     scene_share: float = 1.0  # of the scene and of what it sends out that a worker needs
 
     @property
@@ -162,74 +167,77 @@ def rounds(processes: int) -> int:
     return math.ceil(round(math.log(processes, 1 + BRANCHES), 9)) if processes > 1 else 0
 
 
-def broadcast(size: float, arrival: float, cluster: Cluster) -> tuple[float, float]:
-    """Seconds until all processes have `size` bytes, and how many of them are on the way.
+def broadcast(size: float, cluster: Cluster, hop: float = 0.0) -> float:
+    """Seconds until all processes have `size` bytes.
 
     As `Scheduler.scatter` and `replicate` of Dask do: by way of the scheduler to one worker, then in rounds, each of
-    which ends when all its copies are there; who copies from whom is chosen at random. `arrival`: seconds of a worker
-    until it has made of it what it holds, and can pass it on.
+    which ends when all its copies are there; who copies from whom is chosen at random. `hop`: seconds a byte that a
+    process needs to pass it on.
     """
-    once = size / cluster.link
     if not size:
-        return 0.0, 0.0
+        return 0.0
+    once, itself = size / cluster.link, size * hop
     per_machine = max(1, cluster.cores // cluster.threads)
     # A seed, so that a cluster has one time.
     chance, have, missing = random.Random(1), [0], list(range(1, cluster.processes))
-    way, seconds = 2 * once, 2 * once + arrival
+    seconds = 2 * max(once, itself)
     while missing:
         count = min(len(missing), BRANCHES * len(have))
         chance.shuffle(missing)
         takers, missing = missing[:count], missing[count:]
-        out, into = dict[int, int](), dict[int, int]()
+        out, into, passed = Counter[int](), Counter[int](), Counter[int]()
         for taker in takers:
-            source, target = chance.choice(have) // per_machine, taker // per_machine
-            if source != target:
-                out[source] = out.get(source, 0) + 1
-                into[target] = into.get(target, 0) + 1
+            source = chance.choice(have)
+            passed[source] += 1
+            if source // per_machine != taker // per_machine:
+                out[source // per_machine] += 1
+                into[taker // per_machine] += 1
         # Links carry both ways at once.
-        taken = once * max([0, *out.values(), *into.values()])
-        way, seconds = way + taken, seconds + taken + (0.0 if cluster.pass_on_first else arrival)
+        cables = max(0, *out.values(), *into.values()) if out else 0
+        seconds += max(once * cables, itself * max(passed.values()))
         have += takers
-    return seconds + (arrival if cluster.pass_on_first and cluster.processes > 1 else 0.0), way
+    return seconds
 
 
 def stage(name: str, bake: Bake, cluster: Cluster, costs: Costs) -> tuple[float, dict[str, float]]:
     """Seconds of a stage, and for how long what is busy in it."""
-    # No task has so many chunks that workers are without.
-    chunks_a_task = max(1, min(cluster.chunks_a_task, bake.chunks // (4 * cluster.workers)))
-    tasks, each = math.ceil(bake.chunks / chunks_a_task), bake.receivers / math.ceil(bake.chunks / chunks_a_task)
-    rays, many = bake.rays / 1024, range(1, cluster.schedulers + 1)
-    of_task = {"trace": costs.trace, "trace and keep": costs.trace_and_keep, "bounce": costs.bounce}[name] * rays * each
-    own = costs.worker[name] * chunks_a_task
+    each = min(CHUNK, bake.receivers)
+    rays, many = bake.rays / 1024, cluster.schedulers
+    task = costs.task[name] * rays * each
     back, hits = costs.results * each, costs.hits * rays * each
-    of_scheduler = costs.scheduler[name] + costs.scheduler_per_worker * max(0, cluster.workers / len(many) - 2)
     read = hits if name == "bounce" else 0.0
     write = (hits if name == "trace and keep" else 0.0) + (back if cluster.results_to_store else 0.0)
     by_way = 0.0 if cluster.results_to_store else back
+    reading, writing = (_stored(*some, cluster) for some in ((read, GETS), (write, PUTS)))
+    of_batch = costs.scheduler_batch + costs.scheduler_batch_worker * max(0, cluster.workers / many - 2)
     work = Work(
-        before=[Station("scheduler", of_scheduler + costs.scheduler_per_byte * by_way, cluster.schedulers)],
-        reading=_stored(read, chunks_a_task, GETS, cluster),
-        seconds=of_task + own,
-        writing=_stored(write, chunks_a_task, PUTS, cluster),
+        before=[Station("scheduler", of_batch, costs.scheduler_byte * by_way, many)],
+        reading=reading,
+        each=task + costs.worker[name],
+        writing=writing,
         after=[
-            Station("network", by_way / cluster.link, cluster.schedulers),
-            Station("client", costs.client[name], cluster.schedulers),
+            Station("links", 0.0, by_way / cluster.link, many),
+            Station("client", costs.client_batch, costs.client[name], many),
         ],
     )
-    used = busy(tasks, work.stations)
-    used["workers"] = tasks * of_task / cluster.workers
-    every = tasks * (of_task + own) + sum(cluster.schedulers * used[which] for which in ("scheduler", "client"))
-    return max(makespan(tasks, cluster.workers, work), every / cluster.shared_cores), used
+    alone = work.each + sum(station.each for station in (*reading, *writing))
+    most = int(
+        max(1, min(cluster.span / alone if alone else math.inf, BATCH_BYTES / by_way if by_way else math.inf, 1e6))
+    )
+    used = busy(bake.chunks, cluster.workers, most, work.stations)
+    used["workers"] = bake.chunks * task / cluster.workers
+    every = bake.chunks * work.each + sum(many * used[which] for which in ("scheduler", "client"))
+    return max(makespan(bake.chunks, cluster.workers, work, most), every / cluster.shared_cores), used
 
 
-def _stored(size: float, objects: int, requests: float, cluster: Cluster) -> list[Station]:
+def _stored(size: float, requests: float, cluster: Cluster) -> list[Station]:
     if not size:
         return []
     if cluster.object_store:
         # Each thread waits for its own requests, and all for the store's.
-        one = Station("one request", size / ONE_REQUEST, cluster.workers)
-        return [Station("store", objects / requests), one]
-    return [Station("store", size / cluster.store)]
+        one = Station("one request", 0.0, size / ONE_REQUEST, cluster.workers)
+        return [Station("store", 0.0, 1 / requests), one]
+    return [Station("store", 0.0, size / cluster.store)]
 
 
 def simulate(bake: Bake, cluster: Cluster, costs: Costs) -> Outcome:
@@ -238,20 +246,18 @@ def simulate(bake: Bake, cluster: Cluster, costs: Costs) -> Outcome:
     alone = bake.receivers * costs.client_alone / cluster.client_cores
 
     def send(part: str, size: float, arrival: float) -> None:
-        seconds, way = broadcast(size * count, arrival * count, cluster)
-        found.add(part, seconds, {"network": way, "arrival": seconds - way})
+        seconds = broadcast(size * count, cluster, costs.hop)
+        found.add(part, seconds + arrival * count, {"links": seconds, "tree": arrival * count})
 
     found.add("client", alone, {"client": alone})
     send("scene", costs.scene, costs.arrival)
     found.add("trace", *stage("trace and keep" if bake.bounces else "trace", bake, cluster, costs))
+    bounce = stage("bounce", bake, cluster, costs) if bake.bounces else (0.0, {})
     for _ in range(bake.bounces):
         send("exit radiance", costs.exitant, costs.exit_arrival)
-        found.add("bounces", *stage("bounce", bake, cluster, costs))
-    # The estimate of the error traces a few again: workers have forgotten the scene, and the sum of several bounces is
-    # a gather from another exit radiance.
-    if bake.bounces and not cluster.scene_kept:
-        send("scene", costs.scene, costs.arrival)
+        found.add("bounces", *bounce)
     if bake.bounces > 1:
+        # The estimate of the error gathers once from the sum of what all but the last bounce sent.
         send("exit radiance", costs.exitant, costs.exit_arrival)
     found.held = costs.held * count
     found.machine_held = found.held * max(1, cluster.cores // cluster.threads)
@@ -261,18 +267,17 @@ def simulate(bake: Bake, cluster: Cluster, costs: Costs) -> Outcome:
 
 # What would move the walls, by name, in the order in which it is tried.
 REMEDIES: dict[str, dict[str, Any]] = {
-    "16 chunks a task": {"chunks_a_task": 16},
     "one process of 8 threads a machine": {"threads": CORES},
-    "passed on before the tree is built": {"pass_on_first": True},
-    "scene sent once": {"scene_kept": True},
     "client's own work on 8 cores": {"client_cores": CORES},
     "ten file servers": {"store": 10 * LINK},
+    "batches of 5 s": {"span": 5.0},
 }
 # Others, which change what is computed or what it runs on.
 FURTHER: dict[str, dict[str, Any]] = {
     "hits in an object store": {"object_store": True},
     "results to the store": {"results_to_store": True},
     "two schedulers, two clients": {"schedulers": 2},
+    "links of 100 Gbit/s": {"link": 10 * LINK},
     "a tenth of the scene a worker": {"scene_share": 0.1},
 }
 TOGETHER = {name: value for each in REMEDIES.values() for name, value in each.items()}

@@ -1,45 +1,47 @@
-"""One stage of a bake as queues: tasks go from the scheduler to threads and their results back to the client."""
+"""One stage of a bake as queues: batches of chunks go from the scheduler to threads, their results to the client."""
 
 from __future__ import annotations
 
 import heapq
-import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-# Tasks a thread that are in flight, as in `torchprt.transport.cluster`.
+# Batches a thread that are in flight, as in `torchprt.transport.cluster`.
 IN_FLIGHT = 2
-# So many tasks a thread are followed one by one; more of them take as much longer as the middle of these did.
-FOLLOWED, FEW = 16, 2000
+# Rounds of whole batches of all threads that are followed one by one, and batches at least; the others take as much
+# longer as the second half of these did.
+FOLLOWED, FEW = 8, 2000
 
 
 @dataclass
 class Station:
-    """Something that serves what comes to it in that order, `servers` at a time, each for `seconds`."""
+    """Something that serves what comes in that order, `servers` at a time: `seconds` a batch, and `each` chunk."""
 
     name: str
-    seconds: float
+    seconds: float = 0.0
+    each: float = 0.0
     servers: int = 1
     _free: list[float] = field(default_factory=list, repr=False)
 
-    def serve(self, now: float) -> float:
-        """When what comes now has been served."""
-        if not self.seconds:
+    def serve(self, now: float, chunks: int) -> float:
+        """When a batch that comes now has been served."""
+        seconds = self.seconds + chunks * self.each
+        if not seconds:
             return now
         start = now if len(self._free) < self.servers else max(now, heapq.heappop(self._free))
-        heapq.heappush(self._free, start + self.seconds)
-        return start + self.seconds
+        heapq.heappush(self._free, start + seconds)
+        return start + seconds
 
 
 @dataclass
 class Work:
-    """The way of a task: stations `before` it is on a thread, those that its thread waits for (`reading`, then
-    `seconds` of its own, then `writing`), and those `after`."""
+    """The way of a batch: stations `before` it is on a thread, those that its thread waits for (`reading`, then `each`
+    seconds a chunk of its own, then `writing`), and those `after`."""
 
     before: list[Station]
     reading: list[Station]
-    seconds: float
+    each: float
     writing: list[Station]
     after: list[Station]
 
@@ -48,52 +50,56 @@ class Work:
         return [*self.before, *self.reading, *self.writing, *self.after]
 
 
-def makespan(tasks: int, threads: int, work: Work) -> float:
-    """Seconds until the results of all tasks are there.
+def batches(chunks: int, threads: int, most: int) -> tuple[list[int], int, list[int]]:
+    """How many chunks go out together, as `torchprt.transport.cluster` has it: those of the first batches, how many
+    whole ones of `most` follow, and those of the last, which are cut finer."""
+    first = [1] * min(chunks, IN_FLIGHT * threads)
+    left, last = chunks - len(first), list[int]()
+    # Of what is left each takes a quarter of the share of a thread, if that is less.
+    whole = max(0, -(-(left - (most - 1) * 4 * threads) // most))
+    left -= whole * most
+    while left:
+        size = max(1, min(most, -(-left // (4 * threads))))
+        last.append(size)
+        left -= size
+    return first, whole, last
 
-    Laws: without stations `ceil(tasks / threads) * work.seconds`; where a station is slower than all else `tasks` times
-    its seconds, and the rest of one way.
+
+def makespan(chunks: int, threads: int, work: Work, most: int = 1) -> float:
+    """Seconds until the results of all chunks are there, where at most so many go together.
+
+    Laws: without stations and with `most` = 1 `ceil(chunks / threads) * work.each`; where a station is slower than all
+    else all chunks and batches times its seconds, and the rest of one way.
     """
-    followed = min(tasks, max(FOLLOWED * threads, FEW))
-    # Whole rounds of all threads, so that the middle is of as many as there are.
-    followed = followed if followed == tasks else followed // threads * threads
-    ends = _ends(followed, threads, work)
-    if followed == tasks:
-        return ends[-1]
-    rounds = followed // threads
-    first, last = rounds // 4 * threads, 3 * rounds // 4 * threads
-    rate = (ends[last] - ends[first]) / (last - first)
-    left = tasks - followed
-    # A round that is begun takes its whole time where threads are what is waited for, else its share.
-    bound = rate * threads <= 1.0001 * _of_thread(work)
-    return ends[-1] + (math.ceil(left / threads) * threads if bound else left) * rate
+    first, whole, last = batches(chunks, threads, most)
+    rounds = max(FOLLOWED, FEW // threads)
+    if whole <= rounds * threads:
+        return _end([*first, *[most] * whole, *last], threads, work)
+    # As many as all beyond whole rounds of all threads, so that those that are left out are whole rounds.
+    fewer, more = (whole % threads + part * threads for part in (rounds // 2, rounds))
+    short, long = (_end([*first, *[most] * count, *last], threads, work) for count in (fewer, more))
+    return long + (whole - more) / (more - fewer) * (long - short)
 
 
-def _of_thread(work: Work) -> float:
-    return work.seconds + sum(each.seconds for each in (*work.reading, *work.writing))
-
-
-def _ends(tasks: int, threads: int, work: Work) -> list[float]:
-    """When the result of each task is there, in order of time."""
-    own: list[float | Station] = [*work.reading, work.seconds, *work.writing]
+def _end(sizes: Sequence[int], threads: int, work: Work) -> float:
+    """When the results of all batches are there."""
+    own: list[float | Station] = [*work.reading, work.each, *work.writing]
     steps: list[float | Station] = [*work.before, *own, *work.after]
+    for station in work.stations:
+        station._free.clear()
     enters, leaves = len(work.before), len(work.before) + len(own)
-    free, waiting, ends = threads, deque[int](), list[float]()
-    given = min(tasks, IN_FLIGHT * threads)
-    # The number of a task decides between those that come at the same time.
-    events: list[tuple[float, int, int]] = [(0.0, task, 0) for task in range(given)]
-    heapq.heapify(events)
+    free, waiting, end = threads, deque[int](), 0.0
+    given = min(len(sizes), IN_FLIGHT * threads)
+    # The number of a batch decides between those that come at the same time.
+    events: list[tuple[float, int, int]] = [(0.0, number, 0) for number in range(given)]
 
-    def go(now: float, task: int, step: int) -> None:
-        each = steps[step] if step < len(steps) else None
-        if isinstance(each, Station):
-            now = each.serve(now)
-        elif each is not None:
-            now += each
-        heapq.heappush(events, (now, task, step + 1))
+    def go(now: float, number: int, step: int) -> None:
+        each = steps[step]
+        now = each.serve(now, sizes[number]) if isinstance(each, Station) else now + sizes[number] * each
+        heapq.heappush(events, (now, number, step + 1))
 
     while events:
-        now, task, step = heapq.heappop(events)
+        now, number, step = heapq.heappop(events)
         if step == leaves:
             free += 1
             if waiting:
@@ -101,22 +107,24 @@ def _ends(tasks: int, threads: int, work: Work) -> list[float]:
                 go(now, waiting.popleft(), enters)
         if step == enters:
             if not free:
-                waiting.append(task)
+                waiting.append(number)
                 continue
             free -= 1
         if step < len(steps):
-            go(now, task, step)
+            go(now, number, step)
             continue
-        ends.append(now)
-        if given < tasks:
+        end = now
+        if given < len(sizes):
             heapq.heappush(events, (now, given, 0))
             given += 1
-    return ends
+    return end
 
 
-def busy(tasks: int, stations: Iterable[Station]) -> dict[str, float]:
-    """Seconds that each station serves so many tasks, all its servers side by side."""
-    found: dict[str, float] = {}
+def busy(chunks: int, threads: int, most: int, stations: Iterable[Station]) -> dict[str, float]:
+    """Seconds that each station serves so many chunks, all its servers side by side."""
+    first, whole, last = batches(chunks, threads, most)
+    count, found = len(first) + whole + len(last), dict[str, float]()
     for each in stations:
-        found[each.name] = found.get(each.name, 0.0) + tasks * each.seconds / each.servers
+        seconds = (count * each.seconds + chunks * each.each) / each.servers
+        found[each.name] = found.get(each.name, 0.0) + seconds
     return found

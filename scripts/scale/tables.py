@@ -17,8 +17,8 @@ NAMES = {
     "workers": "tracing and gathering",
     "scheduler": "scheduler",
     "client": "client",
-    "network": "links: scene, exit radiance, results",
-    "arrival": "reading what was sent, building the tree",
+    "links": "links: scene, exit radiance, results",
+    "tree": "the scene and its tree made anew",
     "store": "store of the hits",
 }
 POWERS = dict(zip(RECEIVERS, ("100 000", "1 000 000", "10 million", "100 million", "1000 million"), strict=True))
@@ -28,11 +28,38 @@ def tables(file: Path = HERE / "measured.json") -> dict[str, str]:
     """All tables by name, in Markdown."""
     measured, costs = json.loads(file.read_text()), Costs.read(file)
     return {
+        "of": _of(measured),
         "measured": _measured(measured),
+        "tasks": _tasks(measured["tasks"]),
         "walls": _walls(costs),
         "times": _times(costs),
         "remedies": _remedies(costs),
     }
+
+
+def _of(found: dict[str, Any]) -> str:
+    scene, machine = found["scene"], found["machine"]
+    return (
+        f"{scene['name']}, {scene['receivers']} receivers in {scene['chunks']} chunks, {found['workers']} workers of a "
+        f"thread each, scheduler and client on {machine['cores']} cores ({machine['processor']}, engine "
+        f"{machine['engine']}, distributed {machine['distributed']}, {machine['day']}), of which others had "
+        f"{found['share of others']:.0%} meanwhile. Median of {found['repeats']} repeats (lowest to highest), bounces "
+        f"after the first alike. The client's own work: {_spread(found['client seconds a receiver'], 1e6)} µs a "
+        f"receiver. A worker holds {_spread(found['memory']['bytes a receiver'], 1.0)} bytes a receiver of the scene "
+        "and its tree."
+    )
+
+
+def _tasks(found: dict[str, Any]) -> str:
+    scheduler = found["scheduler seconds a task by workers"]
+    rows = [["scheduler, ms a task", *(_spread(each, 1e3) for each in scheduler.values())]]
+    rows.append(
+        ["client, ms a task", *(_spread(each, 1e3) for each in found["client seconds a task by workers"].values())]
+    )
+    bytes_too = ", ".join(
+        f"{name} {_spread(each, 1e9)} ns" for name, each in found["seconds a byte of results"].items()
+    )
+    return f"{_table(['workers', *scheduler], rows)}\n\nA byte of a result: {bytes_too}."
 
 
 def _measured(found: dict[str, Any]) -> str:
