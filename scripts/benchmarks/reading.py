@@ -1,6 +1,6 @@
 """How long a mesh of a million vertices takes to be read and checked, beside what trimesh takes to parse the same file.
 
-    python scripts/benchmarks/reading.py [VERTICES [ROUNDS]]
+    python scripts/benchmarks/reading.py [VERTICES [ROUNDS [SUFFIX ...]]]
 
 The ground of `memory.py` in each format, from a file that the system holds in memory. "memory": the most that a process
 of its own had while it read, beyond what it had before, in bytes a vertex.
@@ -46,7 +46,7 @@ def parsed(path: Path) -> float:
     return time.perf_counter() - start
 
 
-def run(vertices: int = 1_000_000, rounds: int = 5) -> None:
+def run(vertices: int = 1_000_000, rounds: int = 5, *suffixes: str) -> None:
     """Prints one table."""
     made = rolling_ground(vertices)
     whole = trimesh.Trimesh(made.positions.numpy(), made.faces.numpy(), process=False)
@@ -56,7 +56,7 @@ def run(vertices: int = 1_000_000, rounds: int = 5) -> None:
         tempfile.TemporaryDirectory() as name,
         multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool,
     ):
-        for suffix in SUFFIXES:
+        for suffix in suffixes or SUFFIXES:
             path = Path(name) / f"ground{suffix}"
             whole.export(path)
             found = [(*pool.apply(once, (path,)), parsed(path)) for _ in range(rounds)]
@@ -69,4 +69,4 @@ def run(vertices: int = 1_000_000, rounds: int = 5) -> None:
 
 
 if __name__ == "__main__":
-    run(*map(int, sys.argv[1:]))
+    run(*map(int, sys.argv[1:3]), *sys.argv[3:])

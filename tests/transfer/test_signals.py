@@ -250,6 +250,21 @@ def test_the_check_finds_clusters_that_do_not_count(field, value, message):
         made.replace(**{field: value}).check()
 
 
+@pytest.mark.parametrize(("clusters", "dtype"), [(256, torch.uint8), (1 << 15, torch.int16)])
+def test_labels_name_as_many_clusters_as_their_type_holds(clusters, dtype):
+    made = clustered()
+    full = made.replace(
+        label=torch.tensor([clusters - 1] * 9).to(dtype),
+        mean=made.mean[:1].expand(clusters, -1),
+        offsets=torch.zeros(clusters + 1, dtype=made.offsets.dtype),
+        basis=made.basis[:0],
+        weights=made.weights[:0],
+    )
+    full.check()
+    with pytest.raises(InputError, match="names clusters that it does not have"):
+        full.replace(mean=full.mean[1:], offsets=full.offsets[1:]).check()
+
+
 # What they hold
 
 

@@ -166,7 +166,8 @@ class Clustered(Signal):
         """InputError if a tensor holds NaN or infinity, or labels, offsets and weights do not fit together."""
         super().check(of)
         label, offsets, counts = self.label, self.offsets.long(), self.counts
-        if len(label) and (label.min() < 0 or label.max() >= len(self.mean)):
+        # As plain numbers: a count of 256 is 0 among labels of a byte.
+        if len(label) and (int(label.min()) < 0 or int(label.max()) >= len(self.mean)):
             raise InputError("label of the transfer names clusters that it does not have: compress it again")
         whole = int(offsets[0]) == 0 and int(offsets[-1]) == len(self.basis)
         if not whole or (len(counts) and counts.min() < 0):
