@@ -51,7 +51,7 @@ def picture() -> None:
     left.set(yscale="log", ylim=(1, 3e7), ylabel="seconds", title="Time of a bake, as built")
     changes: dict[str, Any] = {}
     steps = [("as built", {}), *((f"+ {name}", more) for name, more in REMEDIES.items())]
-    for (name, more), colour in zip(steps, COLOURS, strict=True):
+    for (name, more), colour in zip(steps, COLOURS, strict=False):
         changes = changes | more
         found = [simulate(Bake(10**7), replace(Cluster(workers), **changes), costs) for workers in WORKERS]
         shares = [100 * each.efficiency for each in found]
@@ -60,7 +60,7 @@ def picture() -> None:
     long = [simulate(Bake(10**7, rays=16 * 1024), replace(Cluster(workers), **changes), costs) for workers in WORKERS]
     right.plot(WORKERS, [100 * each.efficiency for each in long], color="black", linestyle="--", label="+ 16 384 rays")
     right.set(ylim=(0, 100), ylabel="percent of all cores' time in which rays are traced")
-    right.set_title("Share of tracing, 10 million receivers")
+    right.set_title("Share of tracing, 10 million receivers", loc="left")
     for axes in (left, right):
         axes.set_xscale("log")
         axes.set_xlim(1, 1000)
@@ -69,13 +69,7 @@ def picture() -> None:
         axes.grid(alpha=0.3)
     key = left.legend(title="receivers (dotted: no machine of 32 GiB holds it)", ncols=2, fontsize=8, title_fontsize=8)
     left.add_artist(key)
-    figure.legend(
-        *right.get_legend_handles_labels(),
-        title="right, one upon the other",
-        loc="outside right upper",
-        fontsize=8,
-        title_fontsize=8,
-    )
+    right.legend(title="one upon the other", loc="lower left", fontsize=8, title_fontsize=8)
     handles = [
         left.plot([], [], MARKS[each], color="black", markersize=5, label=said)[0] for each, said in NAMES.items()
     ]

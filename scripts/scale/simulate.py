@@ -270,11 +270,11 @@ REMEDIES: dict[str, dict[str, Any]] = {
     "one process of 8 threads a machine": {"threads": CORES},
     "client's own work on 8 cores": {"client_cores": CORES},
     "ten file servers": {"store": 10 * LINK},
-    "batches of 5 s": {"span": 5.0},
 }
 # Others, which change what is computed or what it runs on.
 FURTHER: dict[str, dict[str, Any]] = {
     "hits in an object store": {"object_store": True},
+    "batches of 5 s": {"span": 5.0},
     "results to the store": {"results_to_store": True},
     "two schedulers, two clients": {"schedulers": 2},
     "links of 100 Gbit/s": {"link": 10 * LINK},
