@@ -20,7 +20,7 @@ SLOW = (
     *("numba", "kornia", "onnx", "onnxruntime", "open3d", "matplotlib", "rich", "dask", "mitsuba"),
     *("torchprt.transport", "torchprt.measure", "torchprt.web", "torchprt.onnx"),
 )
-# Reading and writing .ply brings them, by way of trimesh.
+# Reading .ply brings them, by way of trimesh.
 MESHES = ("scipy", "networkx", "trimesh", "embreex", "PIL")
 ROOMS = ("torchprt.scene.reading", "torchprt.compression")
 
@@ -36,7 +36,7 @@ RUNS = {
     "shade a.safetensors -o c.npy": (*SLOW, *MESHES, *ROOMS),
     "shade a.safetensors --light b.npy -o d.npy": (*SLOW, *MESHES, *ROOMS),
     "info broken.glb": (*SLOW, *MESHES, "torchprt.compression"),
-    "shade a.safetensors -o d.ply": (*SLOW, "torchprt.compression"),
+    "shade a.safetensors -o d.ply": (*SLOW, "trimesh", "networkx", "torchprt.compression"),
     "shade a.safetensors -o e.png --size 32x32": (*SLOW[:-4], "torchprt.compression"),
     "info d.ply": (*SLOW, "torchprt.compression"),
 }

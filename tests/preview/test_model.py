@@ -45,6 +45,18 @@ def test_a_ply_keeps_vertices_faces_and_colours_in_order(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.ply"]
 
 
+@pytest.mark.parametrize("faces", [FACES, FACES[:0]])
+def test_the_bytes_of_a_ply_are_those_of_trimesh(faces, tmp_path):
+    save_ply(POSITIONS.double() / 3, faces.long(), COLOURS, tmp_path / "a.ply")
+    points, colour = POSITIONS.double().numpy() / 3, COLOURS.numpy()
+    if len(faces):
+        model = trimesh.Trimesh(points, faces.numpy(), vertex_colors=colour, process=False)
+    else:
+        model = trimesh.PointCloud(points, colors=colour)
+    wanted = model.export(file_type="ply").replace(b"comment https://github.com/mikedh/trimesh\n", b"")
+    assert (tmp_path / "a.ply").read_bytes() == wanted
+
+
 def test_loose_points_become_a_point_cloud(tmp_path):
     save_ply(POSITIONS, torch.zeros(0, 3, dtype=torch.int32), COLOURS, tmp_path / "a.ply")
     there = trimesh.load(tmp_path / "a.ply", process=False)

@@ -12,6 +12,9 @@ from torch import Tensor
 from torchprt.files import write
 from torchprt.shade.display import TONE, ToneMap, check_tone, display, tone_mapped
 
+_VERTEX = np.dtype([("position", "<f4", 3), ("colour", "u1", 4)])
+_TRIANGLE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
+
 
 def tone_map(name: str) -> ToneMap:
     """`name` as a tone map; InputError if there is none of that name."""
@@ -32,16 +35,20 @@ def linear_colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: 
 def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]) -> None:
     """Writes a binary PLY with sRGB vertex colours, vertices and faces in their order.
 
+    The bytes are those of trimesh, which takes longer to load than all else that shading loads beside torch.
+
     Raises InputError if `path` cannot be written.
     """
-    import trimesh
-
-    points = positions.detach().cpu().numpy()
-    model: trimesh.Trimesh | trimesh.PointCloud
-    if len(faces):
-        model = trimesh.Trimesh(points, faces.cpu().numpy(), vertex_colors=colour.cpu().numpy(), process=False)
-    else:
-        model = trimesh.PointCloud(points, colors=np.asarray(colour.cpu()))
-    content = model.export(file_type="ply")
-    assert isinstance(content, bytes)
-    write(path, content)
+    colour = colour.cpu()
+    vertices = np.empty(len(positions), _VERTEX)
+    vertices["position"], vertices["colour"][:, :3] = positions.detach().cpu().numpy(), colour[:, :3].numpy()
+    vertices["colour"][:, 3] = 255
+    triangles = np.empty(len(faces), _TRIANGLE)
+    triangles["corners"], triangles["vertices"] = 3, faces.cpu().numpy()
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    header += [f"property uchar {channel}" for channel in ("red", "green", "blue", "alpha")]
+    if len(triangles):
+        header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
+    header += ["end_header", ""]
+    write(path, "\n".join(header).encode("ascii") + vertices.tobytes() + triangles.tobytes())
