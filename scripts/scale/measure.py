@@ -1,6 +1,6 @@
 """What a bake on a cluster costs, part by part: real bakes of two workers of this machine, and tasks that do nothing.
 
-    python scripts/scale/measure.py [FILE]        # writes scripts/scale/measured.json; some four minutes
+    python scripts/scale/measure.py [FILE]        # writes scripts/scale/measured.json; some minutes
 
 Scheduler and workers are processes of their own. Costs are CPU seconds, so that a machine that does other things too
 spoils them little; every figure is the median of the repeats with the lowest and the highest. `simulate.py` makes

@@ -34,6 +34,7 @@ FILES = {
     "one number": [*VERTICES, "vt .5", "vt 1", "f 1/1 2/2 3/1"],
     "materials": [*VERTICES, "usemtl a", "f 1 2 3", "f 2 3 4", "usemtl b", "f 1 2 4"],
     "other words": [*VERTICES, "vp 1 2", "o ü", "s off", "f 1 2 3", "fo 1 2 3"],
+    "words that begin alike": [*VERTICES, "vn.5 1 2 3", "vn.5 4 5 6", "vnx 1 2 3", "f 1 2 3"],
     "large": ["v 1e300 0 0", "v 1 123456789012345678 0", "v 0.1 1 .30000000000000004", "f 1 2 3"],
 }
 FAULTY = {

@@ -146,7 +146,7 @@ class _Said:
                 return False
             self._faces(corners - 1)
             return True
-        if keyword not in ("v ", "v\t", "vn", "vt") or any(line[2:3].isalnum() for line in lines[:1]):
+        if keyword not in ("v ", "v\t", "vn", "vt") or lines[0].split(None, 1)[0] != keyword.strip():
             return False
         found = obj_runs.numbers(lines)
         if found is None or found.shape[1] < (1 if keyword == "vt" else 3):
