@@ -35,7 +35,8 @@ def linear_colours(radiance: Float[Tensor, "V 3"], exposure: float = 0.0, tone: 
 def save_ply(positions: Float[Tensor, "V 3"], faces: Tensor, colour: Tensor, path: str | os.PathLike[str]) -> None:
     """Writes a binary PLY with sRGB vertex colours, vertices and faces in their order.
 
-    The bytes are those of trimesh but for its comment. It takes longer to load than all else that shading loads beside torch.
+    The bytes are those of trimesh but for its comment; trimesh takes longer to load than all else that shading loads
+    beside torch.
 
     Raises InputError if `path` cannot be written.
     """
